@@ -1,0 +1,81 @@
+"""The personal rig: everything about one person that tracking needs, saved and loaded as ``actor.npz``."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from .frame import FEATURE_IDS
+from .npz import Field, check_indices, load_checked
+
+_FIELDS = {
+    "neutral": Field(("N", 3)),
+    "blendshapes": Field(("A", "N", 3)),
+    "triangles": Field(("T", 3), "iu"),
+    "frontal": Field(("N",), "b"),
+    "expression_names": Field(("A",), "U"),
+    "feature_triangles": Field((40, 3), "iu"),
+    "feature_weights": Field((40, 3)),
+    "feature_ids": Field((40,), "iu"),
+    "scan_points": Field(("P", 3), optional=True),
+    "scan_normals": Field(("P", 3), optional=True),
+    "identity": Field(("M",), optional=True),
+    "depth_valid": Field(("N",), "b", optional=True),
+}
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Neutral face and personal generic expressions of one person (paper, section 3).
+
+    neutral (N, 3) mm, head frame: b0; blendshapes (A, N, 3) mm, displacements from the neutral: the columns of B;
+    triangles (T, 3) int32; frontal (N,) bool: the region that deforms; depth_valid (N,) bool: vertices that may take a
+    depth correspondence; expression_names (A,); feature_triangles (40, 3), feature_weights (40, 3): the 2D features on
+    the surface; scan_points, scan_normals (P, 3): the fused neutral scan; identity (M,): fitted coefficients.
+    """
+
+    neutral: np.ndarray
+    blendshapes: np.ndarray
+    triangles: np.ndarray
+    frontal: np.ndarray
+    expression_names: tuple[str, ...]
+    feature_triangles: np.ndarray
+    feature_weights: np.ndarray
+    depth_valid: np.ndarray
+    scan_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    scan_normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    identity: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    feature_ids: np.ndarray = field(default_factory=lambda: FEATURE_IDS)
+
+    @property
+    def feature_vertices(self) -> np.ndarray:
+        """(40,) int32: the vertex nearest to each feature."""
+        return self.feature_triangles[np.arange(len(self.feature_triangles)), self.feature_weights.argmax(axis=1)]
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write ``actor.npz`` (float32), whole or not at all."""
+        arrays = {}
+        for entry in fields(self):
+            value = np.asarray(getattr(self, entry.name))
+            arrays[entry.name] = value.astype(np.float32) if value.dtype.kind == "f" else value
+        temporary = f"{os.fspath(path)}.part"
+        with open(temporary, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+        os.replace(temporary, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> Actor:
+        """Read ``actor.npz``; raises :class:`FileFormatError` naming the file and the array."""
+        data = load_checked(path, _FIELDS, max_bytes=2 << 30)
+        n = len(data["neutral"])
+        for name in ("triangles", "feature_triangles"):
+            check_indices(path, name, data[name], n)
+            data[name] = data[name].astype(np.int32)
+        for name, array in data.items():
+            if array.dtype.kind == "f":
+                data[name] = array.astype(float)
+        data["expression_names"] = tuple(str(s) for s in data["expression_names"])
+        data.setdefault("depth_valid", data["frontal"])
+        return cls(**data)

@@ -1,0 +1,53 @@
+"""Pinhole camera: x right, y down, z forward, millimetres; pixel centres at integers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import FileFormatError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of a rectified depth camera (colour is aligned to depth pixel by pixel).
+
+    ``width``, ``height`` in pixels; ``fx``, ``fy``, ``cx``, ``cy`` in pixels.
+    Raises :class:`FileFormatError` for values no camera has (NaN, non-positive focal length, ...).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.width <= 16384 and 0 < self.height <= 16384):
+            raise FileFormatError(f"image size {self.width} x {self.height} is not between 1 and 16384 pixels")
+        values = np.array([self.fx, self.fy, self.cx, self.cy], float)
+        if not np.isfinite(values).all() or self.fx <= 0 or self.fy <= 0:
+            raise FileFormatError(f"camera intrinsics are not usable: fx, fy, cx, cy = {values.tolist()}")
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(3, 3) projection matrix P of the paper's eq. (2)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) mm in the camera frame -> pixels (..., 2)."""
+        z = points[..., 2]
+        return np.stack([self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1)
+
+    def back_project(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) with depth (...) mm -> points (..., 3) mm in the camera frame."""
+        x = (pixels[..., 0] - self.cx) / self.fx * depth
+        y = (pixels[..., 1] - self.cy) / self.fy * depth
+        return np.stack([x, y, depth], axis=-1)
+
+    def rays(self) -> np.ndarray:
+        """(H, W, 3) viewing rays with z = 1, so that ``rays * depth`` are points."""
+        u, v = np.meshgrid(np.arange(self.width, dtype=float), np.arange(self.height, dtype=float))
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], axis=-1)

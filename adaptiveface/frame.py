@@ -1,0 +1,62 @@
+"""What a sensor hands over: one RGB-D frame, and the 2D facial features found in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .camera import Camera
+
+#: iBUG-68 numbers of the 40 features: brows, eye contours, lips (paper, section 1).
+FEATURE_IDS = np.array([*range(18, 26), *range(36, 48), *range(48, 68)], np.int32)
+
+#: MediaPipe FaceLandmarker index of each feature in ``FEATURE_IDS``.
+MEDIAPIPE_INDICES = np.array(
+    [63, 105, 66, 107, 336, 296, 334, 293]
+    + [33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380]
+    + [61, 40, 37, 0, 267, 270, 291, 321, 314, 17, 84, 91]
+    + [78, 81, 13, 311, 308, 402, 14, 178],
+    np.int32,
+)
+
+#: Region of each feature in ``FEATURE_IDS``, for reports and weights.
+FEATURE_REGIONS = np.array(["brows"] * 8 + ["eyes"] * 12 + ["lips"] * 20)
+
+
+@dataclass(frozen=True)
+class Features2D:
+    """The 40 facial features of one frame, in the order of ``FEATURE_IDS``.
+
+    ``pixels`` (40, 2) float64 in the depth image, NaN where not seen; ``confidence`` (40,) in [0, 1], 0 where not seen.
+    """
+
+    pixels: np.ndarray
+    confidence: np.ndarray
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(40,) bool: seen, finite, with positive confidence."""
+        return np.isfinite(self.pixels).all(axis=1) & (self.confidence > 0)
+
+    @property
+    def bounding_box(self) -> np.ndarray:
+        """(4,) u_min, v_min, u_max, v_max of the valid features, pixels."""
+        seen = self.pixels[self.valid]
+        return np.concatenate([seen.min(axis=0), seen.max(axis=0)])
+
+
+@dataclass(frozen=True)
+class RgbdFrame:
+    """One frame of a sensor or a recording.
+
+    ``depth`` (H, W) float32 mm, 0 = no measurement (never NaN); ``colour`` (H, W, 3) uint8 RGB aligned to the depth, or
+    None; ``camera`` its calibration; ``index`` its number in the source; ``timestamp`` seconds; ``features`` or None.
+    """
+
+    depth: np.ndarray
+    camera: Camera
+    colour: np.ndarray | None = None
+    index: int = 0
+    timestamp: float = 0.0
+    features: Features2D | None = None

@@ -1,0 +1,93 @@
+"""Reading ``.npz`` files that may come from anywhere: no pickles, sizes bounded before memory is allocated.
+
+The header of each member is read and judged first (name, dtype, shape, bytes), then the array itself.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .errors import FileFormatError
+
+MAX_BYTES = 8 << 30
+
+
+@dataclass(frozen=True)
+class Field:
+    """What one array must look like: ``shape`` of ints or names (equal names must agree), dtype ``kind``s, optional."""
+
+    shape: tuple[int | str, ...]
+    kind: str = "f"
+    optional: bool = False
+
+
+def _header(member, name: str, path: Path) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(member)
+    if version not in ((1, 0), (2, 0)):
+        raise FileFormatError(f"{path}: array '{name}' has the unknown npy version {version}")
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(member)
+    return shape, dtype
+
+
+def _check(path: Path, name: str, field: Field, shape, dtype: np.dtype, sizes: dict[str, int]) -> None:
+    if dtype.kind not in field.kind:
+        raise FileFormatError(f"{path}: array '{name}' has dtype {dtype}, expected kind '{field.kind}'")
+    if len(shape) != len(field.shape):
+        raise FileFormatError(f"{path}: array '{name}' has shape {shape}, expected {field.shape}")
+    for got, want in zip(shape, field.shape, strict=True):
+        expected = sizes.setdefault(want, got) if isinstance(want, str) else want
+        if got != expected:
+            raise FileFormatError(f"{path}: array '{name}' has shape {shape}, expected {field.shape} with {sizes}")
+
+
+def load_checked(path: str | os.PathLike, fields: Mapping[str, Field], max_bytes: int = MAX_BYTES) -> dict:
+    """Read the named arrays of an npz and check names, dtypes, shapes, finiteness and total size.
+
+    Members that ``fields`` does not name are ignored. Returns name -> array (missing optional ones left out).
+    Raises :class:`FileFormatError` naming the file and the array.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such file")
+    out: dict[str, np.ndarray] = {}
+    sizes: dict[str, int] = {}
+    total = 0
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = set(archive.namelist())
+            for name, field in fields.items():
+                if f"{name}.npy" not in members:
+                    if field.optional:
+                        continue
+                    raise FileFormatError(f"{path}: the array '{name}' is missing")
+                with archive.open(f"{name}.npy") as member:
+                    shape, dtype = _header(member, name, path)
+                if dtype.hasobject:
+                    raise FileFormatError(f"{path}: array '{name}' holds Python objects; pickles are refused")
+                total += int(np.prod(shape, dtype=object)) * dtype.itemsize
+                if total > max_bytes:
+                    raise FileFormatError(f"{path}: its arrays need more than {max_bytes >> 20} MiB")
+                _check(path, name, field, shape, dtype, sizes)
+                with archive.open(f"{name}.npy") as member:
+                    array = np.lib.format.read_array(member, allow_pickle=False)
+                if array.dtype.kind == "f" and not np.isfinite(array).all():
+                    raise FileFormatError(f"{path}: array '{name}' holds NaN or infinite values")
+                out[name] = array
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError, KeyError, zipfile.LargeZipFile, MemoryError) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(f"{path}: not a readable npz file ({error})") from error
+    return out
+
+
+def check_indices(path: str | os.PathLike, name: str, array: np.ndarray, upper: int) -> None:
+    """Raise :class:`FileFormatError` unless every entry lies in [0, upper)."""
+    if array.size and (array.min() < 0 or array.max() >= upper):
+        raise FileFormatError(f"{path}: array '{name}' points outside 0..{upper - 1}")

@@ -1,0 +1,179 @@
+"""Every parameter of the method, once: default, unit, range, source in the paper.
+
+A field makes the default, the command line's ``--set stage.name=value``, the slider of the notebooks and the table in the
+docs. ``Parameters()`` holds our defaults, ``Parameters.paper()`` the paper's literal values where they differ.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from .errors import ParameterError
+
+
+def parameter(default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None):
+    """A dataclass field with its documentation, range (``low`` to ``high``, ``log`` slider) and the paper's value."""
+    metadata = dict(doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper)
+    return field(default=default, metadata=metadata)
+
+
+class _Stage:
+    """Checks every field of a stage against its type and range."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            object.__setattr__(self, entry.name, _checked(type(self).__name__, entry, getattr(self, entry.name)))
+
+
+def _checked(stage: str, entry: dataclasses.Field, value: Any) -> Any:
+    kind, meta, name = type(entry.default), entry.metadata, f"{stage}.{entry.name}"
+    if isinstance(value, str) and kind is not str:
+        value = _parse(name, kind, value)
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise ParameterError(f"{name} = {value!r}: true or false is expected")
+        return value
+    if kind is str:
+        if meta["choices"] and value not in meta["choices"]:
+            raise ParameterError(f"{name} = {value!r}: one of {', '.join(meta['choices'])} is expected")
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ParameterError(f"{name} = {value!r}: a finite number is expected")
+    if kind is int and value != int(value):
+        raise ParameterError(f"{name} = {value!r}: a whole number is expected")
+    low, high = meta["low"], meta["high"]
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise ParameterError(f"{name} = {value!r} is outside its range {low} to {high} {meta['unit']}".rstrip())
+    return kind(value)
+
+
+def _parse(name: str, kind: type, text: str) -> Any:
+    if kind is bool:
+        if text.lower() in ("true", "1", "yes", "on"):
+            return True
+        if text.lower() in ("false", "0", "no", "off"):
+            return False
+        raise ParameterError(f"{name} = {text!r}: true or false is expected")
+    try:
+        return float(text)
+    except ValueError:
+        raise ParameterError(f"{name} = {text!r}: a number is expected") from None
+
+
+@dataclass(frozen=True)
+class RigidParameters(_Stage):
+    """Section 4.1: crop, rigid ICP, loss and recovery."""
+
+    crop: int = parameter(200, "face window around the last frame's model", unit="px at 525 px focal length", section="4.1",
+                          low=50, high=2000)
+    prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200)
+    lost: float = parameter(3.0, "average residual above which the track counts as lost (the paper's stop rule)", unit="mm",
+                            section="4.1", low=0.1, high=50)
+    iterations: int = parameter(6, "fixed number of ICP steps; the paper's 3 mm stop rule ends after one", section="4.1",
+                                low=1, high=50)
+
+
+@dataclass(frozen=True)
+class BlendshapeParameters(_Stage):
+    """Section 4.2: bounded fit of the initial blendshapes, equations (1) and (2)."""
+
+    A: int = parameter(23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=51)
+    w: float = parameter(5e-5, "weight of the 2D features", unit="1/px^2", section="4.2", low=1e-7, high=1e-1, log=True)
+    iterations: int = parameter(3, "rounds of correspondence search and solve", section="4.2", low=1, high=20)
+    lower: float = parameter(0.0, "lower bound of a coefficient", section="4.2", low=-1, high=0)
+    upper: float = parameter(1.0, "upper bound of a coefficient", section="4.2", low=0.1, high=3)
+
+
+@dataclass(frozen=True)
+class KalmanParameters(_Stage):
+    """Section 4.2, last paragraph: Kalman filter on the coefficients (Welch & Bishop 1995)."""
+
+    process_noise: float = parameter(0.05, "process noise", section="4.2", low=1e-6, high=10, log=True)
+    measurement_noise: float = parameter(0.02, "measurement noise", section="4.2", low=1e-6, high=10, log=True)
+
+
+@dataclass(frozen=True)
+class LaplacianParameters(_Stage):
+    """Section 4.3: fast Laplacian deformation, equations (3) to (7)."""
+
+    w1: float = parameter(0.1, "weight of the depth constraints", section="4.3", low=0, high=1e3, log=True)
+    w2: float = parameter(100.0, "weight of the Laplacian smoothing", section="4.3", low=1e-4, high=1e6, log=True)
+
+
+@dataclass(frozen=True)
+class AdaptivePcaParameters(_Stage):
+    """Section 5: anchors, correctives, incremental EM-PCA."""
+
+    K: int = parameter(7, "number of corrective shapes", section="5", low=0, high=100)
+    S: int = parameter(200, "samples kept in the buffer", section="5", low=2, high=2000)
+    valid_min: float = parameter(1.0, "samples with a smaller squared norm lie in the anchor space", unit="cm^2 per 3480 vertices",
+                                 section="5", low=0, high=1e4, log=True)
+    valid_max: float = parameter(100.0, "samples with a larger squared norm are outliers", unit="cm^2 per 3480 vertices",
+                                 section="5", low=0, high=1e6, log=True)
+    em_steps: int = parameter(2, "EM iterations for every sample", section="5", low=1, high=50)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """All stages; frozen, so that a run can be named by its parameters."""
+
+    rigid: RigidParameters = field(default_factory=RigidParameters)
+    blendshapes: BlendshapeParameters = field(default_factory=BlendshapeParameters)
+    kalman: KalmanParameters = field(default_factory=KalmanParameters)
+    laplacian: LaplacianParameters = field(default_factory=LaplacianParameters)
+    adaptive_pca: AdaptivePcaParameters = field(default_factory=AdaptivePcaParameters)
+
+    @classmethod
+    def paper(cls) -> Parameters:
+        """The paper's literal values wherever a field names one."""
+        stages = {}
+        for stage in fields(cls):
+            kind = stage.default_factory
+            literal = {f.name: f.metadata["paper"] for f in fields(kind) if f.metadata["paper"] is not None}
+            stages[stage.name] = kind(**literal)
+        return cls(**stages)
+
+    def set(self, **values: Any) -> Parameters:
+        """A copy with fields changed, named ``stage__name`` or passed as ``**{"stage.name": value}``.
+
+        Raises :class:`ParameterError` for an unknown name or a value outside its range.
+        """
+        stages: dict[str, dict[str, Any]] = {}
+        known = {s.name: [f.name for f in fields(getattr(self, s.name))] for s in fields(self)}
+        for key, value in values.items():
+            stage, _, name = key.replace("__", ".").partition(".")
+            if stage not in known:
+                raise ParameterError(f"unknown stage '{stage}' in '{key}'; stages: {', '.join(known)}")
+            if name not in known[stage]:
+                raise ParameterError(f"unknown parameter '{key}'; {stage} has: {', '.join(known[stage])}")
+            stages.setdefault(stage, {})[name] = value
+        return dataclasses.replace(
+            self, **{s: dataclasses.replace(getattr(self, s), **v) for s, v in stages.items()}
+        )
+
+    def to_json(self) -> str:
+        """JSON of every parameter, by stage."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Parameters:
+        """The inverse of :meth:`to_json`; raises :class:`ParameterError`."""
+        try:
+            stages = json.loads(text)
+            flat = {f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()}
+        except (json.JSONDecodeError, AttributeError) as error:
+            raise ParameterError(f"not a JSON object of parameters: {error}") from None
+        return cls().set(**flat)
+
+
+def describe() -> list[dict[str, Any]]:
+    """One row per parameter for tables and sliders: stage, name, default and the field's documentation."""
+    rows = []
+    for stage in fields(Parameters):
+        for entry in fields(stage.default_factory):
+            rows.append(dict(stage=stage.name, name=entry.name, default=entry.default, **entry.metadata))
+    return rows
