@@ -1,0 +1,70 @@
+"""Where frames come from: recordings on disk, the synthetic sensor.
+
+Every source has the same small interface, :class:`FrameSource`; :func:`open_source` turns the text that a user typed
+into one. A source's ``read`` raises :class:`adaptiveface.errors.FrameError` for a frame that cannot be used.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from ..camera import Camera
+from ..errors import FileFormatError, ParameterError
+from ..frame import RgbdFrame
+from .recording import Recording, RecordingWriter
+
+NOISES = ("structured-light", "truedepth", "none")
+
+_POSSIBLE = (
+    "possible sources: a recording folder (with intrinsic.json, depth/, color/), "
+    f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)})"
+)
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """A numbered sequence of RGB-D frames from one calibrated camera.
+
+    ``camera``: its intrinsics; ``name``: for titles and file names; ``len(source)`` frames, broken ones included;
+    ``read(index)`` returns frame ``index`` or raises :class:`adaptiveface.errors.FrameError` for one that cannot be
+    used. A source whose frames carry 2D features says so with ``has_features = True``; for any other source the
+    detector runs on the colour images.
+    """
+
+    camera: Camera
+    name: str
+
+    def __len__(self) -> int:
+        """Number of frames."""
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame ``index`` (0-based)."""
+
+
+def open_source(text: str) -> FrameSource:
+    """The source named by ``text``: a recording folder, ``synthetic`` or ``synthetic:SEED[:NOISE]``.
+
+    Raises :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
+    """
+    if Path(text).is_dir():
+        return Recording(text)
+    if text == "synthetic" or text.startswith("synthetic:"):
+        return _synthetic(text)
+    if Path(text).exists():
+        raise FileFormatError(f"{text}: not a folder; {_POSSIBLE}")
+    raise FileFormatError(f"{text}: no such recording; {_POSSIBLE}")
+
+
+def _synthetic(text: str) -> FrameSource:
+    from ..synthetic.sensor import SyntheticSensor
+
+    seed, _, noise = text.partition(":")[2].partition(":")
+    if seed and not (seed.isdecimal() and len(seed) <= 9):
+        raise ParameterError(f"{text}: the seed {seed!r} is not a whole number of at most 9 digits; {_POSSIBLE}")
+    if noise and noise not in NOISES:
+        raise ParameterError(f"{text}: unknown noise {noise!r}; {_POSSIBLE}")
+    return SyntheticSensor(seed=int(seed or 0), noise=noise or NOISES[0])
+
+
+__all__ = ["NOISES", "FrameSource", "Recording", "RecordingWriter", "open_source"]

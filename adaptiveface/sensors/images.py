@@ -1,0 +1,64 @@
+"""Reading and writing the images of a recording.
+
+Pillow reads the header first, so that the size is judged before any pixel is decoded, and refuses truncated files
+(OpenCV fills the missing rows with grey or zeros and says nothing).
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ..camera import Camera
+from ..errors import FrameError
+
+#: Largest image file that is read into memory: a 16,384 x 16,384 image would not be a depth camera's.
+_MAX_FILE_BYTES = 256 << 20
+
+
+def read_depth(path: Path, camera: Camera) -> np.ndarray:
+    """(H, W) float32 raw depth units of a 16-bit PNG; raises :class:`FrameError` naming the file and the reason."""
+    pixels = _decode(path, camera, formats=("PNG",), modes=("I;16", "I;16B", "I"), what="a 16-bit grey image")
+    return pixels.astype(np.float32)
+
+
+def read_colour(path: Path, camera: Camera) -> np.ndarray:
+    """(H, W, 3) uint8 RGB of a JPEG or PNG; raises :class:`FrameError` naming the file and the reason."""
+    return _decode(path, camera, formats=("JPEG", "PNG"), modes=("RGB", "RGBA", "L"), what="an 8-bit colour image")
+
+
+def _decode(path: Path, camera: Camera, formats: tuple, modes: tuple, what: str) -> np.ndarray:
+    try:
+        if path.stat().st_size > _MAX_FILE_BYTES:
+            raise FrameError(f"{path}: {path.stat().st_size >> 20} MiB are too many for one image")
+        with warnings.catch_warnings(), open(path, "rb") as stream:
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(stream, formats=formats) as image:
+                if image.size != (camera.width, camera.height):
+                    size = f"{image.size[0]} x {image.size[1]} pixels"
+                    raise FrameError(f"{path}: {size}, the camera has {camera.width} x {camera.height}")
+                if image.mode not in modes:
+                    raise FrameError(f"{path}: pixels are of kind '{image.mode}', {what} is expected")
+                return np.array(image.convert("RGB") if "RGB" in modes else image)
+    except FrameError:
+        raise
+    except Exception as error:  # image decoders raise anything from OSError to SyntaxError on damaged files
+        raise FrameError(f"{path}: not readable as an image ({error or type(error).__name__})") from error
+
+
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    """Write (H, W) uint16 or (H, W, 3) uint8 pixels as PNG or JPEG, by the suffix of ``path``, whole or not at all."""
+    buffer = io.BytesIO()
+    image = Image.fromarray(pixels)
+    if path.suffix == ".png":
+        image.save(buffer, "PNG", compress_level=3)
+    else:
+        image.save(buffer, "JPEG", quality=95, subsampling=0)
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_bytes(buffer.getvalue())
+    os.replace(temporary, path)

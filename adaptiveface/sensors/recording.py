@@ -1,0 +1,251 @@
+"""Recordings: a folder in the layout of Open3D's RGB-D recorder, with optional timestamps and 2D features.
+
+    intrinsic.json           width, height, fps, depth_scale (units per metre), intrinsic_matrix (9, column-major)
+    color/00000.jpg|png      8-bit colour, aligned to the depth pixel by pixel
+    depth/00000.png          16-bit, 0 = no measurement
+    timestamps.csv           optional: frame,timestamp (s)
+    features.csv             optional: frame,feature,u,v,confidence (iBUG-68 number; pixels of the depth image)
+
+Numbers in file names and tables are those of the frames; the lowest one present is index 0. A number without files
+inside the range is a missing frame. What is wrong with the recording as a whole raises :class:`FileFormatError` on
+opening, what is wrong with one frame raises :class:`FrameError` on reading it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import FileFormatError, FrameError
+from ..frame import RgbdFrame
+from .images import read_colour, read_depth, write_image
+from .tables import read_features, read_timestamps, write_features, write_timestamps
+
+#: Units per metre that a 16-bit depth image of a face can have: centimetre steps up to a range of 0.65 m.
+DEPTH_SCALE_RANGE = (100.0, 100_000.0)
+#: A frame without any measurement in this range (mm) shows no face: the sensor failed, or depth_scale is wrong.
+DEPTH_RANGE_MM = (100.0, 10_000.0)
+_MAX_JSON_BYTES = 1 << 20
+
+
+class Recording:
+    """A recorded performance on disk, read frame by frame.
+
+    ``camera`` :class:`Camera`; ``fps``; ``depth_scale`` units per metre; ``name`` of the folder; ``has_features``: the
+    recording holds 2D features. ``len()``, ``read(index)`` and iteration (which passes over the broken frames).
+    Raises :class:`FileFormatError` naming the file and the value when the recording cannot be used at all.
+    """
+
+    def __init__(self, path: str | os.PathLike) -> None:
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise FileFormatError(f"{self.path}: no such folder")
+        self.name = self.path.resolve().name
+        self.camera, self.fps, self.depth_scale = read_intrinsics(self.path / "intrinsic.json")
+        self._depth = _numbered_files(self.path / "depth", (".png",))
+        self._colour = _numbered_files(self.path / "color", (".jpg", ".jpeg", ".png"))
+        numbers = self._depth.keys() | self._colour.keys()
+        if not self._depth:
+            raise FileFormatError(f"{self.path / 'depth'}: no depth images (00000.png, 00001.png, ...)")
+        self._first, self._length = min(numbers), max(numbers) - min(numbers) + 1
+        if self._length > 2 * len(numbers) + 1000:
+            span = f"numbered from {self._first} to {max(numbers)}"
+            raise FileFormatError(f"{self.path}: {len(numbers)} frames {span}; number them one by one")
+        frames = range(self._first, self._first + self._length)
+        self.timestamps = read_timestamps(self.path / "timestamps.csv", frames, self.fps)
+        self._features = read_features(self.path / "features.csv", frames)
+
+    @property
+    def has_features(self) -> bool:
+        """Whether the recording brings its own 2D features (features.csv)."""
+        return self._features is not None
+
+    def __len__(self) -> int:
+        return self._length
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame ``index`` (0-based): depth (H, W) float32 mm, colour (H, W, 3) uint8 RGB, or None.
+
+        Raises :class:`FrameError` naming the file and the reason; :class:`IndexError` outside the recording.
+        """
+        if not 0 <= index < self._length:
+            raise IndexError(f"frame {index} of a recording of {self._length}")
+        number = self._first + index
+        depth_file = self._depth.get(number)
+        if depth_file is None:
+            raise FrameError(f"{self.path / 'depth' / f'{number:05d}.png'}: missing")
+        depth = read_depth(depth_file, self.camera) * np.float32(1000.0 / self.depth_scale)
+        low, high = DEPTH_RANGE_MM
+        if not ((depth > low) & (depth < high)).any():
+            reason = f"every measurement lies outside {low:g} to {high:g} mm (depth_scale {self.depth_scale:g})"
+            raise FrameError(f"{depth_file}: {reason if depth.any() else 'no measurement, every pixel is zero'}")
+        return RgbdFrame(
+            depth=depth,
+            camera=self.camera,
+            colour=self._read_colour(number),
+            index=index,
+            timestamp=float(self.timestamps[index]),
+            features=self._features.get(number) if self._features is not None else None,
+        )
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        for index in range(self._length):
+            try:
+                yield self.read(index)
+            except FrameError:
+                continue
+
+    def _read_colour(self, number: int) -> np.ndarray | None:
+        if not self._colour:
+            return None
+        if number not in self._colour:
+            raise FrameError(f"{self.path / 'color' / f'{number:05d}.jpg'}: missing")
+        return read_colour(self._colour[number], self.camera)
+
+
+class RecordingWriter:
+    """Writes frames in the layout that :class:`Recording` reads; every file appears whole or not at all.
+
+    ``depth_scale`` units per metre (1 to 65,535 of them are stored); ``colour_format`` "jpg" (quality 95) or "png"
+    (lossless). Use as a context manager, or call :meth:`close`, which writes the tables.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike,
+        camera: Camera,
+        fps: float = 30.0,
+        depth_scale: float = 10_000.0,
+        colour_format: str = "jpg",
+    ) -> None:
+        self.path, self.camera = Path(folder), camera
+        self.fps, self.depth_scale, self.colour_format = float(fps), float(depth_scale), colour_format
+        _check_rate_and_scale(self.path / "intrinsic.json", self.fps, self.depth_scale)
+        if (self.path / "intrinsic.json").exists():
+            raise FileFormatError(f"{self.path}: already holds a recording; name another folder")
+        for name in ("color", "depth"):
+            (self.path / name).mkdir(parents=True, exist_ok=True)
+        self._timestamps: list[float] = []
+        self._features: dict[int, object] = {}
+        self._write_intrinsics()
+
+    def _write_intrinsics(self) -> None:
+        content = {
+            "width": self.camera.width,
+            "height": self.camera.height,
+            "fps": self.fps,
+            "depth_scale": self.depth_scale,
+            "intrinsic_matrix": self.camera.matrix.T.ravel().tolist(),
+        }
+        temporary = self.path / "intrinsic.json.part"
+        temporary.write_text(json.dumps(content, indent=1) + "\n")
+        os.replace(temporary, self.path / "intrinsic.json")
+
+    def write(self, frame: RgbdFrame) -> int:
+        """Append ``frame``; returns its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
+        number = len(self._timestamps)
+        units = np.rint(frame.depth.astype(float) * (self.depth_scale / 1000.0))
+        units[~((units >= 1) & (units <= 65_535))] = 0
+        write_image(self.path / "depth" / f"{number:05d}.png", units.astype(np.uint16))
+        if frame.colour is not None:
+            write_image(self.path / "color" / f"{number:05d}.{self.colour_format}", frame.colour)
+        self._timestamps.append(float(frame.timestamp))
+        if frame.features is not None:
+            self._features[number] = frame.features
+        return number
+
+    def close(self) -> None:
+        """Write timestamps.csv and, where any frame had features, features.csv."""
+        write_timestamps(self.path / "timestamps.csv", self._timestamps)
+        if self._features:
+            write_features(self.path / "features.csv", self._features)
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+
+def read_intrinsics(path: Path) -> tuple[Camera, float, float]:
+    """``intrinsic.json`` -> camera, frames per second, depth units per metre.
+
+    Raises :class:`FileFormatError` naming the file and the value.
+    """
+    content = _read_json(path)
+    values = {}
+    for name in ("width", "height", "fps", "depth_scale"):
+        if name not in content and name == "fps":
+            content[name] = 30.0
+        values[name] = _number(path, name, content.get(name))
+    if values["width"] != int(values["width"]) or values["height"] != int(values["height"]):
+        raise FileFormatError(f"{path}: the image size {values['width']} x {values['height']} is not whole")
+    matrix = content.get("intrinsic_matrix")
+    if not isinstance(matrix, list) or len(matrix) != 9:
+        raise FileFormatError(f"{path}: intrinsic_matrix is not a list of 9 numbers (column-major)")
+    fx, b, c, skew, fy, d, cx, cy, one = (_number(path, "intrinsic_matrix", value) for value in matrix)
+    if any((b, c, skew, d)) or one != 1:
+        hint = "; it looks row-major" if cx == 0 and cy == 0 and c and d else ""
+        expected = "[fx, 0, 0, 0, fy, 0, cx, cy, 1] (column-major)"
+        raise FileFormatError(f"{path}: intrinsic_matrix {matrix} is not {expected}{hint}")
+    _check_rate_and_scale(path, values["fps"], values["depth_scale"])
+    try:
+        camera = Camera(int(values["width"]), int(values["height"]), fx, fy, cx, cy)
+    except FileFormatError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+    size = max(camera.width, camera.height)
+    if not (size / 20 < fx < size * 20 and size / 20 < fy < size * 20 and abs(cx) < 4 * size and abs(cy) < 4 * size):
+        raise FileFormatError(f"{path}: fx, fy, cx, cy = {fx}, {fy}, {cx}, {cy} do not fit images of {size} pixels")
+    return camera, values["fps"], values["depth_scale"]
+
+
+def _read_json(path: Path) -> dict:
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such file; a recording needs its camera's calibration")
+    if path.stat().st_size > _MAX_JSON_BYTES:
+        raise FileFormatError(f"{path}: {path.stat().st_size} bytes are too many for a calibration")
+    try:
+        content = json.loads(path.read_bytes())
+    except (ValueError, RecursionError, OSError) as error:
+        raise FileFormatError(f"{path}: not readable as JSON ({error})") from None
+    if not isinstance(content, dict):
+        raise FileFormatError(f"{path}: not a JSON object")
+    return content
+
+
+def _number(path: Path, name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
+        raise FileFormatError(f"{path}: {name} = {str(value)[:60]} is not a finite number")
+    return float(value)
+
+
+def _finite(value: int | float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer too large for a float
+        return False
+
+
+def _check_rate_and_scale(path: Path, fps: float, depth_scale: float) -> None:
+    low, high = DEPTH_SCALE_RANGE
+    if not low <= depth_scale <= high:
+        raise FileFormatError(f"{path}: depth_scale = {depth_scale:g} is not between {low:g} and {high:g} per metre")
+    if not 0.1 <= fps <= 1000:
+        raise FileFormatError(f"{path}: fps = {fps:g} is not between 0.1 and 1000")
+
+
+def _numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
+    """Frame number -> image file, for the files of ``folder`` whose name is a number."""
+    if not folder.is_dir():
+        return {}
+    files = {}
+    for entry in sorted(folder.iterdir()):
+        if entry.suffix.lower() in suffixes and entry.stem.isdecimal() and len(entry.stem) <= 9:
+            files[int(entry.stem)] = entry
+    return files
