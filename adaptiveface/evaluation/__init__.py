@@ -1,0 +1,25 @@
+"""Error against ground truth, per stage, region and performance; the curves of figure 11; the ablations of figure 5.
+
+Nothing here is needed for tracking. :mod:`.metrics` holds the measures as functions of arrays, :mod:`.run` scores.
+"""
+
+from .metrics import (
+    ACTIVE_MOTION,
+    TrueSurface,
+    active_share,
+    motion_error,
+    neutral_alignment,
+    pose_error,
+    split_by_normal,
+    surface_distance,
+    true_motion,
+)
+from .regions import REGIONS, actor_regions, region_masks
+from .run import STAGES, ErrorCollector, Evaluation, evaluate_run
+from .truth import FIRST, NEUTRAL, PERFORMANCE_NAMES, REPEAT, GroundTruth, TruthFrame
+
+__all__ = [
+    "ACTIVE_MOTION", "FIRST", "NEUTRAL", "PERFORMANCE_NAMES", "REGIONS", "REPEAT", "STAGES", "ErrorCollector",
+    "Evaluation", "GroundTruth", "TrueSurface", "TruthFrame", "active_share", "actor_regions", "evaluate_run",
+    "motion_error", "neutral_alignment", "pose_error", "region_masks", "split_by_normal", "surface_distance", "true_motion",
+]  # fmt: skip

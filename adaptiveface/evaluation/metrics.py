@@ -1,0 +1,183 @@
+"""Error measures between a tracked mesh and the true one: pure functions of arrays.
+
+Shapes: N vertices (the tracked and the true mesh share their numbering), T triangles, n scored vertices, F frames. mm.
+
+Three questions, three measures:
+
+* Does the surface lie where the true surface lies? :func:`surface_distance`, blind to sliding inside the surface.
+* Does every vertex lie where its true counterpart lies? :func:`split_by_normal` of the difference.
+* Does every vertex *move* as its counterpart moves? :func:`motion_error`: the constant error of the neutral is removed,
+  the error of the pose is not. :func:`active_share` puts it in proportion to the true motion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from scipy.spatial import cKDTree
+
+from ..mesh import rigid_alignment, transform_points
+
+#: A (frame, vertex) pair is *active* when the true skin has moved this far from the neutral in the head frame, mm.
+ACTIVE_MOTION = 2.0
+
+
+class TrueSurface:
+    """Answers "how far is this point from that surface" for one true mesh, vertices (N, 3) mm, triangles (T, 3).
+
+    The distance of every triangle around the ``candidates`` nearest true vertices is computed exactly (Ericson 2005,
+    section 5.1.5). The smallest is the exact distance whenever the closest triangle touches one of those vertices,
+    which on meshes with edges of a few millimetres it does (the tests compare with all triangles).
+    """
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, candidates: int = 4):
+        self.vertices = np.ascontiguousarray(vertices, float)
+        self.triangles = np.ascontiguousarray(triangles, np.int64)
+        self.candidates = candidates
+        used = np.unique(triangles)
+        self._used, self._tree = used, cKDTree(self.vertices[used], balanced_tree=False, compact_nodes=False)
+        order = np.argsort(self.triangles.ravel(), kind="stable")
+        self._incident = order // 3
+        self._start = np.searchsorted(self.triangles.ravel()[order], np.arange(len(vertices) + 1))
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """(n,) unsigned distances in mm of points (n, 3) from the surface."""
+        points = np.ascontiguousarray(points, float)
+        _, near = self._tree.query(points, k=min(self.candidates, len(self._used)))
+        near = self._used[near.reshape(len(points), -1)]
+        return _distance_to_incident_triangles(points, near, self.vertices, self.triangles, self._start, self._incident)
+
+
+def surface_distance(
+    vertices: np.ndarray, truth_vertices: np.ndarray, triangles: np.ndarray, mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Distance in mm of tracked vertices (N, 3) from the true surface (N, 3), (T, 3): (n,), n = vertices in ``mask``.
+
+    Scored region: the caller's ``mask`` (N,) bool; evaluation uses the frontal vertices that may take depth
+    (``frontal & depth_valid``), so that inner lips and lid rims, which no depth camera sees, are left out. The true
+    surface is the whole head, not the masked part of it.
+    """
+    points = vertices if mask is None else vertices[mask]
+    return TrueSurface(truth_vertices, triangles).distance(points)
+
+
+def split_by_normal(error: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split error vectors (..., 3) by unit normals (..., 3): signed normal part and tangential length (...), mm."""
+    normal = np.einsum("...d,...d->...", error, normals)
+    tangential = np.linalg.norm(error - normal[..., None] * normals, axis=-1)
+    return normal, tangential
+
+
+def neutral_alignment(neutral: np.ndarray, true_neutral: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(4, 4) rigid transform A from the tracker's head frame to the true one, over the vertices in ``mask``.
+
+    Two meshes of one head may place its head frame differently; A takes that difference out once, for all frames.
+    """
+    return rigid_alignment(neutral[mask], true_neutral[mask])
+
+
+def true_motion(truth_vertices: np.ndarray, true_rigid: np.ndarray, true_neutral: np.ndarray) -> np.ndarray:
+    """(N, 3) displacement of the true mesh (N, 3, camera frame) from its neutral (N, 3, head frame), camera frame, mm.
+
+    ``true_rigid`` (4, 4) takes the head frame to the camera frame.
+    """
+    return truth_vertices - transform_points(true_rigid, true_neutral)
+
+
+def motion_error(
+    vertices: np.ndarray,
+    neutral: np.ndarray,
+    truth_vertices: np.ndarray,
+    true_neutral: np.ndarray,
+    true_rigid: np.ndarray,
+    alignment: np.ndarray,
+) -> np.ndarray:
+    """(N, 3) correspondence error with the neutral removed, camera frame, mm.
+
+    e_i = (v_i - R A b0_i) - (v*_i - R b0*_i), with v (N, 3) the tracked and v* the true vertices in the camera frame,
+    b0 and b0* the tracked and true neutral in their head frames, R = ``true_rigid`` (4, 4) the true head-to-camera pose
+    and A = ``alignment`` (4, 4) of :func:`neutral_alignment`. The pose error stays inside e; what is removed is the
+    constant difference of the neutrals, carried along by the true pose. A face that follows the head without ever
+    changing its expression has e = -(true motion).
+    """
+    tracked_motion = vertices - transform_points(true_rigid @ alignment, neutral)
+    return tracked_motion - true_motion(truth_vertices, true_rigid, true_neutral)
+
+
+def active_share(error: np.ndarray, motion: np.ndarray, threshold: float = ACTIVE_MOTION) -> float:
+    """Sum of |error| over sum of |motion|, over the pairs whose true motion exceeds ``threshold`` mm.
+
+    ``error``, ``motion``: lengths in mm of equal shape, any number of axes (frames, vertices). 0 is perfect, a face
+    that never moves scores 1; NaN when nothing moves.
+    """
+    active = motion > threshold
+    return float(error[active].sum() / motion[active].sum()) if active.any() else float("nan")
+
+
+def pose_error(
+    rigid: np.ndarray, true_rigid: np.ndarray, alignment: np.ndarray, centre: np.ndarray
+) -> tuple[float, float]:
+    """Error of a head pose (4, 4): millimetres at the point ``centre`` (3,) of the true head frame, and degrees.
+
+    ``alignment`` (4, 4) takes the tracker's head frame to the true one (:func:`neutral_alignment`).
+    """
+    difference = np.linalg.inv(true_rigid @ alignment) @ rigid
+    at = np.linalg.inv(alignment)[:3, :3] @ (centre - alignment[:3, 3])
+    shift = np.linalg.norm(transform_points(difference, at) - at)
+    sine = np.linalg.norm(difference[:3, :3] - difference[:3, :3].T) / np.sqrt(8.0)
+    return float(shift), float(np.degrees(np.arctan2(sine, (np.trace(difference[:3, :3]) - 1) / 2)))
+
+
+@njit(cache=True)
+def _distance_to_incident_triangles(points, near, vertices, triangles, start, incident):
+    """Smallest distance of each point (n, 3) to the triangles around its near vertices (n, k)."""
+    distances = np.empty(len(points))
+    for i in range(len(points)):
+        best = np.inf
+        for vertex in near[i]:
+            for entry in range(start[vertex], start[vertex + 1]):
+                a, b, c = triangles[incident[entry]]
+                best = min(best, _squared_distance_to_triangle(points[i], vertices[a], vertices[b], vertices[c]))
+        distances[i] = np.sqrt(best)
+    return distances
+
+
+@njit(cache=True)
+def _squared_distance_to_triangle(p, a, b, c):
+    """Squared distance of point p from triangle abc: the Voronoi regions of its corners, edges and inside in turn."""
+    ab, ac = _sub(b, a), _sub(c, a)
+    ap, bp, cp = _sub(p, a), _sub(p, b), _sub(p, c)
+    d1, d2, d3, d4, d5, d6 = _dot(ab, ap), _dot(ac, ap), _dot(ab, bp), _dot(ac, bp), _dot(ab, cp), _dot(ac, cp)
+    if d1 <= 0.0 and d2 <= 0.0:
+        return _dot(ap, ap)
+    if d3 >= 0.0 and d4 <= d3:
+        return _dot(bp, bp)
+    if d6 >= 0.0 and d5 <= d6:
+        return _dot(cp, cp)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        return _squared_rest(ap, ab, d1 / (d1 - d3), ac, 0.0)
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        return _squared_rest(ap, ab, 0.0, ac, d2 / (d2 - d6))
+    if va <= 0.0 and d4 >= d3 and d5 >= d6:
+        share = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return _squared_rest(ap, ab, 1.0 - share, ac, share)
+    area = va + vb + vc
+    return _squared_rest(ap, ab, vb / area, ac, vc / area)
+
+
+@njit(cache=True)
+def _squared_rest(ap, ab, v, ac, w):
+    """|ap - v ab - w ac|^2: from the point of barycentric coordinates (1 - v - w, v, w) to p."""
+    rest = (ap[0] - v * ab[0] - w * ac[0], ap[1] - v * ab[1] - w * ac[1], ap[2] - v * ab[2] - w * ac[2])
+    return _dot(rest, rest)
+
+
+@njit(cache=True)
+def _sub(u, v):
+    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
+
+
+@njit(cache=True)
+def _dot(u, v):
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]

@@ -1,0 +1,54 @@
+"""The regions of the face that errors are reported for, found from the 2D features so that every model has them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..frame import FEATURE_IDS, FEATURE_REGIONS
+from ..mesh import surface_points
+
+#: Order of the regions in tables; a vertex may belong to none, and to no more than one.
+REGIONS = ("lips", "eyes", "brows", "cheeks", "chin")
+
+#: A vertex within this distance of a feature of a region belongs to it, mm.
+FEATURE_RADIUS = 8.0
+#: Half width of the cheek around the middle between outer eye corner and mouth corner, mm.
+CHEEK_RADIUS = 25.0
+
+
+def region_masks(
+    neutral: np.ndarray, feature_triangles: np.ndarray, feature_weights: np.ndarray, frontal: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Name of each of ``REGIONS`` -> (N,) bool, disjoint subsets of ``frontal`` (N,) on a neutral mesh (N, 3) mm.
+
+    lips, eyes, brows: vertices within 8 mm (straight line) of one of their features, the nearest feature deciding.
+    cheeks: within 25 mm of the middle between the outer eye corner (iBUG 36, 45) and the mouth corner (48, 54) of one
+    side. chin: below the lowest lip feature and between the mouth corners, widened by half the mouth's width.
+    """
+    features = surface_points(neutral, feature_triangles, feature_weights)
+    distance, nearest = cKDTree(features).query(neutral)
+    close = frontal & (distance < FEATURE_RADIUS)
+    masks = {name: close & (FEATURE_REGIONS[nearest] == name) for name in ("lips", "eyes", "brows")}
+    free = frontal & ~close
+
+    def feature(number: int) -> np.ndarray:
+        return features[np.flatnonzero(FEATURE_IDS == number)[0]]
+
+    cheeks = np.zeros(len(neutral), bool)
+    for eye_corner, mouth_corner in ((36, 48), (45, 54)):
+        middle = (feature(eye_corner) + feature(mouth_corner)) / 2
+        middle = neutral[frontal][np.linalg.norm((neutral[frontal] - middle)[:, :2], axis=1).argmin()]
+        cheeks |= np.linalg.norm(neutral - middle, axis=1) < CHEEK_RADIUS
+    masks["cheeks"] = free & cheeks
+    right, left = feature(48), feature(54)
+    side = np.abs(neutral[:, 0] - (right[0] + left[0]) / 2) < np.abs(left[0] - right[0])
+    below = neutral[:, 1] < features[FEATURE_REGIONS == "lips"][:, 1].min()
+    masks["chin"] = free & ~cheeks & side & below
+    return masks
+
+
+def actor_regions(actor) -> dict[str, np.ndarray]:
+    """:func:`region_masks` of an :class:`~adaptiveface.actor.Actor` (or a face model's mean head)."""
+    neutral = actor.neutral if isinstance(getattr(actor, "neutral", None), np.ndarray) else actor.mean
+    return region_masks(neutral, actor.feature_triangles, actor.feature_weights, actor.frontal)

@@ -1,0 +1,193 @@
+"""Scoring a tracked performance against its truth: which stage, which region, first time or repeat.
+
+Shapes: S stages, F scored frames, n vertices that may take depth, m frontal vertices. Millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..actor import Actor
+from ..errors import AdaptiveFaceError
+from ..mesh import vertex_normals
+from ..tracking.types import TrackedFrame
+from . import metrics
+from .regions import actor_regions
+from .truth import FIRST, NEUTRAL, REPEAT, GroundTruth
+
+STAGES = ("v1", "v2", "v3", "v4")
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Errors of every scored frame, kept per vertex so that any statistic can be taken later. mm, float32.
+
+    stages (S,) names; index, performance (F,) of the frames that were tracked; lost: performance -> number of frames
+    that were not. surface (S, F, n): distance of the vertices ``scored`` (N,) bool (frontal and depth-valid) from the
+    true surface. Over the vertices ``frontal`` (N,) bool, the motion error with the neutral removed
+    (:func:`metrics.motion_error`): normal (S, F, m) signed part along the true vertex normal, tangential (S, F, m)
+    length of the rest; motion (F, m) length of the true motion. pose_shift (F,) mm and pose_angle (F,) degrees: error
+    of the rigid pose. anchor_distance, adaptive_distance (F,) mm: the curves of figure 11. regions: name -> (N,) bool.
+    """
+
+    stages: tuple[str, ...]
+    index: np.ndarray
+    performance: np.ndarray
+    lost: dict[int, int]
+    surface: np.ndarray
+    normal: np.ndarray
+    tangential: np.ndarray
+    motion: np.ndarray
+    pose_shift: np.ndarray
+    pose_angle: np.ndarray
+    anchor_distance: np.ndarray
+    adaptive_distance: np.ndarray
+    scored: np.ndarray
+    frontal: np.ndarray
+    regions: dict[str, np.ndarray]
+
+    def frames(self, performance: int | None) -> np.ndarray:
+        """(F,) bool: frames of one performance (None: every one after the neutral)."""
+        return self.performance != NEUTRAL if performance is None else self.performance == performance
+
+    def motion_length(self, stage: str) -> np.ndarray:
+        """(F, m) length of the motion error, mm."""
+        s = self.stages.index(stage)
+        return np.hypot(self.normal[s], self.tangential[s])
+
+    def surface_percentiles(self, stage: str, performance: int | None, percentiles=(50, 95)) -> list[float]:
+        """Percentiles of the surface distance over all (frame, vertex) pairs of a performance, mm."""
+        values = self.surface[self.stages.index(stage)][self.frames(performance)]
+        if not values.size:
+            return [float("nan")] * len(percentiles)
+        return [float(value) for value in np.percentile(values, percentiles)]
+
+    def active_share(self, stage: str, performance: int | None) -> float:
+        """:func:`metrics.active_share` over the frontal vertices of a performance."""
+        chosen = self.frames(performance)
+        return metrics.active_share(self.motion_length(stage)[chosen], self.motion[chosen])
+
+    def region_error(self, stage: str, region: str, performance: int | None, active: bool = False) -> float:
+        """Mean length of the motion error over a region's vertices and a performance's frames, mm.
+
+        ``active`` takes only the pairs whose true motion exceeds 2 mm. The limits are on the mean over all pairs.
+        """
+        chosen, inside = self.frames(performance), self.regions[region][self.frontal]
+        error = self.motion_length(stage)[chosen][:, inside]
+        if active:
+            error = error[self.motion[chosen][:, inside] > metrics.ACTIVE_MOTION]
+        return float(error.mean(dtype=float)) if error.size else float("nan")
+
+    def parts(self, stage: str, performance: int | None) -> tuple[float, float]:
+        """Mean |normal| and tangential part of the motion error over the active pairs, mm."""
+        s, chosen = self.stages.index(stage), self.frames(performance)
+        active = self.motion[chosen] > metrics.ACTIVE_MOTION
+        if not active.any():
+            return float("nan"), float("nan")
+        normal, tangential = np.abs(self.normal[s][chosen][active]), self.tangential[s][chosen][active]
+        return float(normal.mean(dtype=float)), float(tangential.mean(dtype=float))
+
+    def summary(self, stage: str, performance: int | None) -> dict[str, float]:
+        """Every figure of one stage and performance by name: mm, but for the shares."""
+        median, p95 = self.surface_percentiles(stage, performance)
+        normal, tangential = self.parts(stage, performance)
+        out = dict(
+            surface_median=median, surface_p95=p95, active_share=self.active_share(stage, performance), normal=normal,
+            tangential=tangential,
+        )
+        for region in self.regions:
+            out[region] = self.region_error(stage, region, performance)
+            out[f"{region}_active"] = self.region_error(stage, region, performance, active=True)
+        return out
+
+    def mean_error_map(self, stage: str, performance: int | None) -> np.ndarray:
+        """(N,) mean length of the motion error of each vertex, mm; NaN outside the frontal region."""
+        out = np.full(len(self.frontal), np.nan)
+        chosen = self.frames(performance)
+        if chosen.any():
+            out[self.frontal] = self.motion_length(stage)[chosen].mean(axis=0)
+        return out
+
+    def table(self) -> str:
+        """The summary of every stage and performance as text."""
+        from .table import evaluation_table
+
+        return evaluation_table(self)
+
+
+@dataclass
+class ErrorCollector:
+    """Takes tracked frames one by one, so that a run can be scored while it is tracked and no mesh is kept.
+
+    ``truth`` as for :meth:`GroundTruth.of`; ``actor`` the rig that was tracked with; ``stages`` of ``STAGES``.
+    """
+
+    truth: GroundTruth
+    actor: Actor
+    stages: tuple[str, ...] = STAGES
+    _rows: list = field(default_factory=list, repr=False)
+    _lost: dict = field(default_factory=lambda: {NEUTRAL: 0, FIRST: 0, REPEAT: 0}, repr=False)
+
+    def __post_init__(self) -> None:
+        self.truth = GroundTruth.of(self.truth)
+        if len(self.truth.neutral) != len(self.actor.neutral):
+            raise AdaptiveFaceError(
+                f"the truth has {len(self.truth.neutral)} vertices, the actor {len(self.actor.neutral)}: errors per "
+                "vertex need the same mesh; track with an actor captured with the model that made the truth"
+            )
+        self.frontal = self.actor.frontal.astype(bool)
+        self.scored = self.frontal & self.actor.depth_valid.astype(bool)
+        self.alignment = metrics.neutral_alignment(self.actor.neutral, self.truth.neutral, self.frontal)
+        self.centre = self.truth.neutral[self.frontal].mean(axis=0)
+
+    def add(self, frame: TrackedFrame) -> None:
+        """Score one frame; a frame that is not tracked is counted as lost."""
+        truth = self.truth[frame.index]
+        if not frame.tracked:
+            self._lost[truth.performance] = self._lost.get(truth.performance, 0) + 1
+            return
+        surface = metrics.TrueSurface(truth.vertices, self.actor.triangles)
+        normals = vertex_normals(truth.vertices, self.actor.triangles)[self.frontal]
+        distances, normal, tangential = [], [], []
+        for stage in self.stages:
+            vertices = frame.in_camera(getattr(frame, stage))
+            distances.append(surface.distance(vertices[self.scored]))
+            error = metrics.motion_error(
+                vertices, self.actor.neutral, truth.vertices, self.truth.neutral, truth.rigid, self.alignment
+            )
+            along, across = metrics.split_by_normal(error[self.frontal], normals)
+            normal.append(along)
+            tangential.append(across)
+        motion = metrics.true_motion(truth.vertices, truth.rigid, self.truth.neutral)[self.frontal]
+        pose = metrics.pose_error(frame.rigid, truth.rigid, self.alignment, self.centre)
+        self._rows.append((
+            frame.index, truth.performance, np.float32(distances), np.float32(normal), np.float32(tangential),
+            np.float32(np.linalg.norm(motion, axis=1)), *pose, frame.anchor_distance, frame.adaptive_distance,
+        ))  # fmt: skip
+
+    def finish(self) -> Evaluation:
+        """The errors of all frames so far. Raises :class:`AdaptiveFaceError` when none was tracked."""
+        if not self._rows:
+            raise AdaptiveFaceError("no frame was tracked, so there is no error to report")
+        columns = list(zip(*self._rows, strict=True))
+        index, performance, distances, normal, tangential, motion, *curves = columns
+        per_stage = [np.stack(column, axis=1) for column in (distances, normal, tangential)]
+        return Evaluation(
+            self.stages, np.array(index), np.array(performance), dict(self._lost), *per_stage, np.stack(motion),
+            *(np.array(curve, float) for curve in curves), self.scored, self.frontal, actor_regions(self.actor),
+        )  # fmt: skip
+
+
+def evaluate_run(frames: Iterable[TrackedFrame], truth, actor: Actor, stages: tuple[str, ...] = STAGES) -> Evaluation:
+    """Score tracked frames against ``truth`` (a sensor with ``ground_truth(i)``, a ``GroundTruth`` or a path).
+
+    The frames' ``index`` is their number in the truth. Raises :class:`AdaptiveFaceError` for another mesh than the
+    truth's, or when no frame was tracked.
+    """
+    collector = ErrorCollector(truth, actor, tuple(stages))
+    for frame in frames:
+        collector.add(frame)
+    return collector.finish()

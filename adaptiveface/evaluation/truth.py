@@ -1,0 +1,88 @@
+"""Where the truth comes from: a synthetic sensor, or the ``ground_truth.npz`` of a synthetic recording."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import FileFormatError
+from ..mesh import transform_points
+from ..npz import Field, load_checked
+
+#: What a frame belongs to: the neutral scan, the first performance of the script, or its repeat.
+NEUTRAL, FIRST, REPEAT = -1, 0, 1
+PERFORMANCE_NAMES = {NEUTRAL: "neutral", FIRST: "first", REPEAT: "repeat"}
+
+_FIELDS = {
+    "vertices": Field(("F", "V", 3)),
+    "rigid": Field(("F", 4, 4)),
+    "performance": Field(("F",), "iu"),
+    "neutral": Field(("V", 3), optional=True),
+}
+
+
+@dataclass(frozen=True)
+class TruthFrame:
+    """vertices (V, 3) mm in the camera frame; rigid (4, 4) head to camera; performance: see ``PERFORMANCE_NAMES``."""
+
+    vertices: np.ndarray
+    rigid: np.ndarray
+    performance: int
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """The truth of every frame of a source; ``neutral`` (V, 3) is the true neutral in the true head frame, mm."""
+
+    neutral: np.ndarray
+    read: Callable[[int], TruthFrame] = field(repr=False)
+    n_frames: int = 0
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __getitem__(self, index: int) -> TruthFrame:
+        return self.read(index)
+
+    @classmethod
+    def of(cls, source) -> GroundTruth:
+        """From a sensor with ``ground_truth(i)``, a path of a ``ground_truth.npz``, or a ``GroundTruth`` itself."""
+        if isinstance(source, cls):
+            return source
+        if isinstance(source, (str, os.PathLike)):
+            return cls.load(source)
+
+        def read(index: int) -> TruthFrame:
+            truth = source.ground_truth(index)
+            return TruthFrame(np.asarray(truth.vertices, float), np.asarray(truth.rigid, float), int(truth.performance))
+
+        return cls(_mean_neutral(read, len(source)), read, len(source))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> GroundTruth:
+        """Read ``ground_truth.npz``; raises :class:`FileFormatError` naming the file and the array."""
+        data = load_checked(path, _FIELDS, max_bytes=2 << 30)
+
+        def read(index: int) -> TruthFrame:
+            vertices, rigid = data["vertices"][index].astype(float), data["rigid"][index].astype(float)
+            return TruthFrame(vertices, rigid, int(data["performance"][index]))
+
+        n_frames = len(data["performance"])
+        neutral = data["neutral"].astype(float) if "neutral" in data else _mean_neutral(read, n_frames, path)
+        return cls(neutral, read, n_frames)
+
+
+def _mean_neutral(read: Callable[[int], TruthFrame], n_frames: int, path="the source", most: int = 10) -> np.ndarray:
+    """(V, 3) mean of the first neutral frames, taken back to the head frame."""
+    heads = []
+    for index in range(n_frames):
+        frame = read(index)
+        if frame.performance != NEUTRAL or len(heads) == most:
+            break
+        heads.append(transform_points(np.linalg.inv(frame.rigid), frame.vertices))
+    if not heads:
+        raise FileFormatError(f"{path}: the truth begins with no neutral frame (performance -1) and has no 'neutral'")
+    return np.mean(heads, axis=0)

@@ -1,0 +1,233 @@
+"""The measures on cases whose answer is known, and the scoring of constructed runs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import trimesh
+
+from adaptiveface import evaluation as ev
+from adaptiveface.actor import Actor
+from adaptiveface.errors import AdaptiveFaceError, FileFormatError
+from adaptiveface.face_model import embedded_face_model
+from adaptiveface.mesh import rotation_vector_matrix, transform_points, vertex_normals
+from adaptiveface.tracking.types import SampleState, TrackedFrame
+
+
+def grid(n: int = 12, spacing: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
+    """A flat square of n x n vertices in the plane z = 0."""
+    x, y = np.meshgrid(np.arange(n) * spacing, np.arange(n) * spacing)
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(n * n)], axis=1)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    lower = np.stack([corner, corner + 1, corner + n], axis=1)
+    upper = np.stack([corner + 1, corner + n + 1, corner + n], axis=1)
+    return vertices, np.concatenate([lower, upper])
+
+
+def pose(rotation=(0.1, -0.2, 0.05), translation=(20.0, -10.0, 600.0)) -> np.ndarray:
+    transform = np.eye(4)
+    transform[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ rotation_vector_matrix(np.array(rotation))
+    transform[:3, 3] = translation
+    return transform
+
+
+def test_surface_distance_of_known_offsets():
+    vertices, triangles = grid()
+    inner = (vertices[:, :2] > 5).all(1) & (vertices[:, :2] < 39).all(1)
+    assert ev.surface_distance(vertices, vertices, triangles).max() == 0
+    lifted = vertices + [0.0, 0.0, 0.7]
+    assert np.allclose(ev.surface_distance(lifted, vertices, triangles, inner), 0.7)
+    slid = vertices + [1.3, -0.9, 0.0]
+    assert np.allclose(ev.surface_distance(slid, vertices, triangles, inner), 0, atol=1e-12)
+    outside = np.array([[-3.0, -4.0, 0.0], [-3.0, 20.0, 4.0]])  # past a corner, past an edge
+    assert np.allclose(ev.TrueSurface(vertices, triangles).distance(outside), [5.0, 5.0])
+
+
+def test_surface_distance_equals_the_search_over_all_triangles():
+    model = embedded_face_model()
+    rng = np.random.default_rng(3)
+    points = (model.mean + rng.normal(0, 1.5, model.mean.shape))[model.depth_valid][::40]
+    corners = model.mean[model.triangles]
+    exact = []
+    for point in points:
+        closest = trimesh.triangles.closest_point(corners, np.broadcast_to(point, (len(corners), 3)))
+        exact.append(np.linalg.norm(closest - point, axis=1).min())
+    assert np.allclose(ev.TrueSurface(model.mean, model.triangles).distance(points), exact, atol=1e-9)
+
+
+def test_split_by_normal():
+    normals = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    normal, tangential = ev.split_by_normal(np.array([[3.0, 4.0, -2.0], [0.0, 0.5, 0.0]]), normals)
+    assert np.allclose(normal, [-2.0, 0.5]) and np.allclose(tangential, [5.0, 0.0])
+
+
+def test_active_share_ignores_what_does_not_move():
+    motion = np.array([[0.0, 1.9, 4.0], [6.0, 0.0, 2.0]])
+    error = np.array([[9.0, 9.0, 1.0], [2.0, 9.0, 9.0]])
+    assert ev.active_share(error, motion) == pytest.approx(3.0 / 10.0)
+    assert ev.active_share(motion, motion) == 1.0
+    assert np.isnan(ev.active_share(error, np.zeros_like(motion)))
+
+
+def test_pose_error_of_a_known_turn_and_shift():
+    truth, alignment = pose(), np.eye(4)
+    turned = truth @ np.block([[rotation_vector_matrix(np.radians([0, 2.0, 0])), np.zeros((3, 1))], [np.eye(4)[3:]]])
+    shift, angle = ev.pose_error(turned, truth, alignment, np.zeros(3))
+    assert shift == pytest.approx(0, abs=1e-9) and angle == pytest.approx(2.0)
+    moved = truth.copy()
+    moved[:3, 3] += [0.0, 3.0, 4.0]
+    assert ev.pose_error(moved, truth, alignment, np.ones(3)) == pytest.approx((5.0, 0.0), abs=1e-6)
+
+
+def test_regions_are_disjoint_frontal_and_symmetric():
+    model = embedded_face_model()
+    regions = ev.actor_regions(model)
+    assert tuple(regions) == ev.REGIONS
+    total = np.sum(list(regions.values()), axis=0)
+    assert total.max() == 1 and not total[~model.frontal].any()
+    for name, mask in regions.items():
+        assert mask.sum() > 50, name
+        assert abs(model.mean[mask][:, 0].mean()) < 1.0, name
+    assert model.mean[regions["brows"], 1].mean() > model.mean[regions["eyes"], 1].mean()
+    assert model.mean[regions["chin"], 1].max() < model.mean[regions["lips"], 1].mean()
+
+
+# ---- constructed runs: a face that smiles while the head turns
+
+
+@dataclass
+class Truth:
+    vertices: np.ndarray
+    rigid: np.ndarray
+    performance: int
+
+
+class Sensor:
+    """Two neutral frames, then the same smile twice, with a moving head."""
+
+    def __init__(self):
+        self.model = embedded_face_model()
+        units = dict(zip(self.model.expression_names, self.model.expressions, strict=True))
+        self.smile = units["mouthSmileLeft"] + units["jawOpen"]
+        self.amount = [0.0, 0.0, 0.4, 1.0, 0.4, 1.0]
+        self.number = [ev.NEUTRAL, ev.NEUTRAL, ev.FIRST, ev.FIRST, ev.REPEAT, ev.REPEAT]
+
+    def __len__(self):
+        return len(self.amount)
+
+    def rigid(self, i):
+        return pose(rotation=(0.05 * i, 0.02 * i, 0.0))
+
+    def ground_truth(self, i):
+        head = self.model.mean + self.amount[i] * self.smile
+        return Truth(transform_points(self.rigid(i), head), self.rigid(i), self.number[i])
+
+
+def actor_of(model, neutral) -> Actor:
+    return Actor(
+        neutral, model.generic_expressions, model.triangles, model.frontal, model.generic_names,
+        model.feature_triangles, model.feature_weights, model.depth_valid,
+    )  # fmt: skip
+
+
+def tracked(i, rigid, head, is_tracked=True) -> TrackedFrame:
+    stages = head if isinstance(head, tuple) else (head,) * 4
+    return TrackedFrame(i, i / 30, is_tracked, rigid, *stages, np.zeros(23), np.zeros(23), SampleState.LEARNED, i)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return Sensor()
+
+
+def test_perfect_run_scores_zero_even_in_another_head_frame(sensor):
+    other = pose(rotation=(0.02, 0.01, -0.03), translation=(1.0, 2.0, -3.0))
+    back = np.linalg.inv(other)
+    actor = actor_of(sensor.model, transform_points(back, sensor.model.mean))
+    frames = [
+        tracked(i, sensor.rigid(i) @ other, transform_points(back, sensor.model.mean + sensor.amount[i] * sensor.smile))
+        for i in range(len(sensor))
+    ]
+    result = ev.evaluate_run(frames, sensor, actor)
+    assert result.surface.max() < 1e-3 and np.abs(result.normal).max() < 1e-3 and result.tangential.max() < 1e-3
+    assert result.pose_shift.max() < 1e-6 and result.pose_angle.max() < 1e-4
+    assert result.summary("v4", ev.REPEAT)["active_share"] < 1e-3
+
+
+def test_face_that_never_moves_scores_one(sensor):
+    actor = actor_of(sensor.model, sensor.model.mean)
+    frames = [tracked(i, sensor.rigid(i), sensor.model.mean) for i in range(len(sensor))]
+    result = ev.evaluate_run(frames, sensor, actor)
+    for performance in (ev.FIRST, ev.REPEAT, None):
+        assert result.active_share("v4", performance) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_constant_error_of_the_neutral_is_removed_but_a_wrong_pose_is_not(sensor):
+    rng = np.random.default_rng(5)
+    bias = rng.normal(0, 1.0, sensor.model.mean.shape)
+    actor = actor_of(sensor.model, sensor.model.mean + bias)
+    heads = [sensor.model.mean + bias + a * sensor.smile for a in sensor.amount]
+    result = ev.evaluate_run([tracked(i, sensor.rigid(i), h) for i, h in enumerate(heads)], sensor, actor)
+    # rotating the (slightly mis-aligned) neutral leaves a little of the bias: far below the bias itself
+    assert result.motion_length("v4").max() < 0.15 and np.median(result.surface) > 0.3
+    shift = np.eye(4)
+    shift[0, 3] = 1.5
+    shifted = [shift @ sensor.rigid(i) for i in range(6)]
+    moved = ev.evaluate_run([tracked(i, shifted[i], h) for i, h in enumerate(heads)], sensor, actor)
+    assert np.median(moved.motion_length("v4")) == pytest.approx(1.5, abs=0.1)
+    assert moved.pose_shift == pytest.approx(1.5, abs=0.1)
+
+
+def test_stages_are_told_apart_and_the_normal_offset_is_found(sensor):
+    actor = actor_of(sensor.model, sensor.model.mean)
+    frames = []
+    for i in range(len(sensor)):
+        head = sensor.model.mean + sensor.amount[i] * sensor.smile
+        lifted = head + 0.5 * vertex_normals(head, sensor.model.triangles)
+        frames.append(tracked(i, sensor.rigid(i), (sensor.model.mean, lifted, lifted, head)))
+    result = ev.evaluate_run(frames, sensor, actor)
+    assert result.summary("v2", ev.REPEAT)["normal"] == pytest.approx(0.5, abs=1e-3)
+    assert result.summary("v2", ev.REPEAT)["tangential"] < 1e-3
+    assert result.surface_percentiles("v2", ev.REPEAT)[0] == pytest.approx(0.5, abs=0.02)
+    assert result.summary("v1", ev.REPEAT)["lips"] > 2 > result.summary("v2", ev.REPEAT)["lips"]
+    assert result.summary("v4", ev.REPEAT)["surface_p95"] < 1e-3
+    text = result.table()
+    assert text.count("repeat") == 4 and "6 frames scored, 0 lost" in text
+    heat = result.mean_error_map("v1", ev.REPEAT)
+    assert np.isnan(heat[~actor.frontal]).all() and heat[actor.feature_vertices[29]] > 2  # a lower-lip feature
+
+
+def test_lost_frames_are_counted_not_scored(sensor):
+    actor = actor_of(sensor.model, sensor.model.mean)
+    frames = [tracked(i, sensor.rigid(i), sensor.model.mean, is_tracked=i != 3) for i in range(len(sensor))]
+    result = ev.evaluate_run(frames, sensor, actor)
+    assert result.lost[ev.FIRST] == 1 and len(result.index) == 5 and "1 lost" in result.table()
+    with pytest.raises(AdaptiveFaceError, match="no frame was tracked"):
+        ev.evaluate_run([tracked(0, sensor.rigid(0), sensor.model.mean, False)], sensor, actor)
+
+
+def test_truth_of_a_file_equals_that_of_the_sensor(sensor, tmp_path):
+    truths = [sensor.ground_truth(i) for i in range(len(sensor))]
+    path = tmp_path / "ground_truth.npz"
+    np.savez(
+        path, vertices=np.float32([t.vertices for t in truths]), rigid=np.float32([t.rigid for t in truths]),
+        performance=np.int32([t.performance for t in truths]),
+    )  # fmt: skip
+    truth = ev.GroundTruth.of(path)
+    assert len(truth) == 6 and truth[4].performance == ev.REPEAT
+    assert np.allclose(truth.neutral, ev.GroundTruth.of(sensor).neutral, atol=1e-3)
+    assert np.allclose(truth[3].vertices, truths[3].vertices, atol=1e-3)
+    np.savez(path, vertices=np.zeros((2, 5, 3), np.float32), rigid=np.zeros((3, 4, 4)), performance=np.zeros(2, int))
+    with pytest.raises(FileFormatError, match="rigid"):
+        ev.GroundTruth.of(path)
+
+
+def test_another_mesh_is_refused(sensor):
+    vertices, triangles = grid()
+    everywhere = np.ones(len(vertices), bool)
+    actor = Actor(
+        vertices, np.zeros((1, len(vertices), 3)), triangles, everywhere, ("a",), np.zeros((40, 3), int),
+        np.ones((40, 3)) / 3, everywhere,
+    )  # fmt: skip
+    with pytest.raises(AdaptiveFaceError, match="need the same mesh"):
+        ev.evaluate_run([], sensor, actor)
