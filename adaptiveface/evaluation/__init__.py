@@ -21,5 +21,6 @@ from .truth import FIRST, NEUTRAL, PERFORMANCE_NAMES, REPEAT, GroundTruth, Truth
 __all__ = [
     "ACTIVE_MOTION", "FIRST", "NEUTRAL", "PERFORMANCE_NAMES", "REGIONS", "REPEAT", "STAGES", "ErrorCollector",
     "Evaluation", "GroundTruth", "TrueSurface", "TruthFrame", "active_share", "actor_regions", "evaluate_run",
-    "motion_error", "neutral_alignment", "pose_error", "region_masks", "split_by_normal", "surface_distance", "true_motion",
+    "motion_error", "neutral_alignment", "pose_error", "region_masks", "split_by_normal",
+    "surface_distance", "true_motion",
 ]  # fmt: skip
