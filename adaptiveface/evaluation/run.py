@@ -145,27 +145,38 @@ class ErrorCollector:
 
     def add(self, frame: TrackedFrame) -> None:
         """Score one frame; a frame that is not tracked is counted as lost."""
-        truth = self.truth[frame.index]
         if not frame.tracked:
-            self._lost[truth.performance] = self._lost.get(truth.performance, 0) + 1
+            self.lose(frame.index)
             return
+        meshes = {stage: frame.in_camera(getattr(frame, stage)) for stage in self.stages}
+        self.score(frame.index, frame.rigid, meshes, frame.anchor_distance, frame.adaptive_distance)
+
+    def lose(self, index: int) -> None:
+        """Count a frame that was not tracked."""
+        performance = self.truth[index].performance
+        self._lost[performance] = self._lost.get(performance, 0) + 1
+
+    def score(
+        self, index: int, rigid: np.ndarray, meshes: dict[str, np.ndarray], anchor: float = np.nan,
+        adaptive: float = np.nan,
+    ) -> None:  # fmt: skip
+        """Score frame ``index``: ``rigid`` (4, 4) head to camera, ``meshes`` stage -> (N, 3) in the camera frame, mm."""
+        truth = self.truth[index]
         surface = metrics.TrueSurface(truth.vertices, self.actor.triangles)
         normals = vertex_normals(truth.vertices, self.actor.triangles)[self.frontal]
-        distances, normal, tangential = [], [], []
-        for stage in self.stages:
-            vertices = frame.in_camera(getattr(frame, stage))
-            distances.append(surface.distance(vertices[self.scored]))
-            error = metrics.motion_error(
-                vertices, self.actor.neutral, truth.vertices, self.truth.neutral, truth.rigid, self.alignment
-            )
-            along, across = metrics.split_by_normal(error[self.frontal], normals)
-            normal.append(along)
-            tangential.append(across)
         motion = metrics.true_motion(truth.vertices, truth.rigid, self.truth.neutral)[self.frontal]
-        pose = metrics.pose_error(frame.rigid, truth.rigid, self.alignment, self.centre)
+        distances, parts = [], []
+        for stage in self.stages:
+            distances.append(surface.distance(meshes[stage][self.scored]))
+            error = metrics.motion_error(
+                meshes[stage], self.actor.neutral, truth.vertices, self.truth.neutral, truth.rigid, self.alignment
+            )
+            parts.append(metrics.split_by_normal(error[self.frontal], normals))
+        normal, tangential = zip(*parts, strict=True)
+        pose = metrics.pose_error(rigid, truth.rigid, self.alignment, self.centre)
         self._rows.append((
-            frame.index, truth.performance, np.float32(distances), np.float32(normal), np.float32(tangential),
-            np.float32(np.linalg.norm(motion, axis=1)), *pose, frame.anchor_distance, frame.adaptive_distance,
+            index, truth.performance, np.float32(distances), np.float32(normal), np.float32(tangential),
+            np.float32(np.linalg.norm(motion, axis=1)), *pose, anchor, adaptive,
         ))  # fmt: skip
 
     def finish(self) -> Evaluation:
