@@ -65,27 +65,49 @@ def _parse(name: str, kind: type, text: str) -> Any:
 
 
 @dataclass(frozen=True)
-class RigidParameters(_Stage):
-    """Section 4.1: crop, rigid ICP, loss and recovery."""
+class DepthParameters(_Stage):
+    """Section 4.1: crop and noise reduction of the depth map."""
 
-    crop: int = parameter(200, "face window around the last frame's model", unit="px at 525 px focal length", section="4.1",
-                          low=50, high=2000)
+    crop: int = parameter(0, "side of a fixed face window; 0 takes the box around the last frame's model", unit="px",
+                          section="4.1", low=0, high=4000, paper=200)
+    margin: float = parameter(25.0, "border added around the model's box", unit="mm", section="4.1", low=0, high=300)
+    smoothing: float = parameter(1.0, "Gaussian that reduces the depth noise", unit="px", low=0.3, high=10)
+    normal_smoothing: float = parameter(2.0, "Gaussian under the depth gradient, from which the normals follow", unit="px",
+                                        low=0.3, high=20)
+    edge: float = parameter(15.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200)
+
+
+@dataclass(frozen=True)
+class RigidParameters(_Stage):
+    """Section 4.1: rigid ICP, loss and recovery."""
+
     prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200)
-    lost: float = parameter(3.0, "average residual above which the track counts as lost (the paper's stop rule)", unit="mm",
+    lost: float = parameter(3.0, "mean residual above which the track counts as lost (the paper's stop rule)", unit="mm",
                             section="4.1", low=0.1, high=50)
     iterations: int = parameter(6, "fixed number of ICP steps; the paper's 3 mm stop rule ends after one", section="4.1",
                                 low=1, high=50)
+    min_matches: int = parameter(300, "fewer correspondences than this and the track is lost", low=6, high=100000)
+    stiff: float = parameter(4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000)
+    relocate: float = parameter(6.0, "median reprojection error of the 2D features that asks for re-alignment", unit="px",
+                                section="4.1", low=1, high=100)
 
 
 @dataclass(frozen=True)
 class BlendshapeParameters(_Stage):
     """Section 4.2: bounded fit of the initial blendshapes, equations (1) and (2)."""
 
-    A: int = parameter(23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=51)
+    A: int = parameter(23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=512)
     w: float = parameter(5e-5, "weight of the 2D features", unit="1/px^2", section="4.2", low=1e-7, high=1e-1, log=True)
     iterations: int = parameter(3, "rounds of correspondence search and solve", section="4.2", low=1, high=20)
     lower: float = parameter(0.0, "lower bound of a coefficient", section="4.2", low=-1, high=0)
     upper: float = parameter(1.0, "upper bound of a coefficient", section="4.2", low=0.1, high=3)
+    prune: float = parameter(15.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
+    outlier: float = parameter(5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True,
+                               paper=1e6)
+    ridge: float = parameter(10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0)
+    temporal: float = parameter(30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5,
+                                log=True, paper=0.0)
+    joint_pose: bool = parameter(True, "solve the rigid pose together with the coefficients", paper=False)
 
 
 @dataclass(frozen=True)
@@ -94,14 +116,25 @@ class KalmanParameters(_Stage):
 
     process_noise: float = parameter(0.05, "process noise", section="4.2", low=1e-6, high=10, log=True)
     measurement_noise: float = parameter(0.02, "measurement noise", section="4.2", low=1e-6, high=10, log=True)
+    model: str = parameter("variance", "how the two noises are read; see tracking/kalman.py", section="4.2",
+                           choices=("variance", "acceleration", "off"))
 
 
 @dataclass(frozen=True)
 class LaplacianParameters(_Stage):
-    """Section 4.3: fast Laplacian deformation, equations (3) to (7)."""
+    """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7)."""
 
-    w1: float = parameter(0.1, "weight of the depth constraints", section="4.3", low=0, high=1e3, log=True)
-    w2: float = parameter(100.0, "weight of the Laplacian smoothing", section="4.3", low=1e-4, high=1e6, log=True)
+    w1: float = parameter(0.1, "weight of the depth constraints", unit="1/mm^2", section="4.3", low=1e-6, high=1e3, log=True)
+    w2: float = parameter(5.0, "weight of the Laplacian smoothing", unit="1/mm^2", section="4.3", low=1e-4, high=1e6, log=True,
+                          paper=100.0)
+    feature_weight: float = parameter(0.09, "weight of a 2D feature; the paper's rows amount to f^2, a hard constraint",
+                                      unit="1/mm^2", section="4.3", low=0, high=1e6, log=True, paper=2.8e5)
+    steps: int = parameter(2, "preconditioned conjugate-gradient steps of the depth deformation", low=1, high=50)
+    prune: float = parameter(10.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
+    final_w2: float = parameter(5.0, "smoothing of the final deformation, which sees the 2D features only", unit="1/mm^2",
+                                section="4.4", low=1e-4, high=1e6, log=True, paper=100.0)
+    final_feature_weight: float = parameter(0.05, "weight of a 2D feature there", unit="1/mm^2", section="4.4", low=0, high=1e6,
+                                            log=True, paper=2.8e5)
 
 
 @dataclass(frozen=True)
@@ -115,6 +148,11 @@ class AdaptivePcaParameters(_Stage):
     valid_max: float = parameter(100.0, "samples with a larger squared norm are outliers", unit="cm^2 per 3480 vertices",
                                  section="5", low=0, high=1e6, log=True)
     em_steps: int = parameter(2, "EM iterations for every sample", section="5", low=1, high=50)
+    startup: str = parameter("growing", "when learning starts: with the first sample, or once the buffer is full", section="5",
+                             choices=("growing", "full-buffer"), paper="full-buffer")
+    learn: bool = parameter(True, "learn correctives at all", section="5")
+    min_coverage: float = parameter(0.5, "share of the frontal vertices that must have depth for a frame to be learned",
+                                    low=0, high=1)
 
 
 @dataclass(frozen=True)
@@ -189,6 +227,7 @@ class Parameters:
     fusion: FusionParameters = field(default_factory=FusionParameters)
     fit: FitParameters = field(default_factory=FitParameters)
     shrink_wrap: ShrinkWrapParameters = field(default_factory=ShrinkWrapParameters)
+    depth: DepthParameters = field(default_factory=DepthParameters)
     rigid: RigidParameters = field(default_factory=RigidParameters)
     blendshapes: BlendshapeParameters = field(default_factory=BlendshapeParameters)
     kalman: KalmanParameters = field(default_factory=KalmanParameters)

@@ -1,0 +1,182 @@
+"""The adaptive PCA model (sections 4.3 and 5): anchor shapes, corrective shapes, incremental EM-PCA (Roweis 1998).
+
+Vectors are displacements of the n frontal vertices from the neutral, flattened to 3n, in millimetres.
+Outside the frontal region nothing is learned: anchors are combinations of the blendshapes and continue there as the same
+combinations, and a corrective (a displacement minus its anchor part) continues as minus that anchor part, so that the
+projected mesh has no seam.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..actor import Actor
+from ..parameters import AdaptivePcaParameters
+from .types import SampleState
+
+#: The paper's thresholds hold for centimetres and this many vertices.
+PAPER_VERTICES, MM_PER_CM = 3480, 10.0
+
+
+def anchor_shapes(blendshapes: np.ndarray, tolerance: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
+    """Principal components of the blendshapes, B B^T = M_A D M_A^T (section 5).
+
+    B (A, 3n) one blendshape per row -> M_A (3n, a) orthonormal and C (a, A) with M_A = B^T C^T. Directions with less than
+    ``tolerance`` of the largest singular value are left out.
+    """
+    u, s, vt = np.linalg.svd(blendshapes, full_matrices=False)
+    keep = s > tolerance * s[0]
+    return np.ascontiguousarray(vt[keep].T), (u[:, keep] / s[keep]).T
+
+
+def orthonormalise(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """QR factorisation basis = Q R through Cholesky factors, twice for accuracy (CholeskyQR2, Yamamoto et al. 2015)."""
+    triangle = np.eye(basis.shape[1])
+    for _ in range(2):
+        r = np.linalg.cholesky(basis.T @ basis).T
+        basis = basis @ np.linalg.inv(r)
+        triangle = r @ triangle
+    return basis, triangle
+
+
+def e_step(correctives: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Y = (M^T M)^-1 M^T S (section 5, step 1): M (3n, k), S (3n, s) -> Y (k, s)."""
+    return np.linalg.solve(correctives.T @ correctives, correctives.T @ samples)
+
+
+def m_step(samples: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """M = S Y^T (Y Y^T)^-1 (section 5, step 2): S (3n, s), Y (k, s) -> M (3n, k)."""
+    return np.linalg.solve(coefficients @ coefficients.T, coefficients @ samples.T).T
+
+
+def em_in_sample_space(gram: np.ndarray, coefficients: np.ndarray, steps: int) -> np.ndarray:
+    """``steps`` EM iterations with M = S Z kept as Z, so that they cost nothing in 3n.
+
+    gram (s, s) = S^T S; coefficients (k, s): the first E-step's Y for the current orthonormal M. Returns Z (s, k).
+    With M = S Z, the E-step is Y = (Z^T G Z)^-1 Z^T G and the M-step Z = Y^T (Y Y^T)^-1: the same iterates as
+    :func:`e_step` and :func:`m_step` (a test compares them).
+    """
+    y = coefficients
+    for step in range(steps):
+        if step:
+            y = np.linalg.solve(z.T @ gram @ z, z.T @ gram)  # noqa: F821 (set by the first pass)
+        z = np.linalg.solve(y @ y.T, y).T
+    return z
+
+
+class AdaptiveModel:
+    """M = [M_A, M_K]: projection (section 4.3) and learning (section 5).
+
+    Learned state: ``correctives`` (3n, k <= K) orthonormal and orthogonal to ``anchors`` (3n, a); ``updates``.
+    """
+
+    def __init__(self, actor: Actor, blendshapes: np.ndarray, parameters: AdaptivePcaParameters) -> None:
+        self.parameters = parameters
+        self.frontal = actor.frontal
+        self.anchors, self._anchor_mix = anchor_shapes(blendshapes[:, self.frontal].reshape(len(blendshapes), -1))
+        self._outside = blendshapes[:, ~self.frontal].reshape(len(blendshapes), -1)
+        n = int(self.frontal.sum())
+        # The paper's squared norms are in cm^2 and grow with the number of vertices.
+        self._unit = MM_PER_CM**2 * n / PAPER_VERTICES
+        self._size = 3 * n
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every corrective and every sample."""
+        s = self.parameters.S
+        self.correctives = np.zeros((self._size, 0))
+        self.updates = 0
+        self.count = 0
+        self._next = 0
+        # Samples in float32: half the memory traffic of the two passes over S, far below the sensor's noise.
+        self._samples = np.zeros((s, self._size), np.float32)
+        self._gram = np.zeros((s, s))
+        self._coordinates = np.zeros((s, 0))
+        self._sample_anchors = np.zeros((s, self.anchors.shape[1]))
+        self._corrective_anchors = np.zeros((self.anchors.shape[1], 0))
+
+    # ---- projection ------------------------------------------------------------------------------------------------
+    def project(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """v3 - b0 = M M^T (v2 - b0): displacement (3n,) -> (frontal (3n,), the other vertices (3 (N - n),))."""
+        in_anchors, in_correctives = self.anchors.T @ displacement, self.correctives.T @ displacement
+        frontal = self.anchors @ in_anchors + self.correctives @ in_correctives
+        continued = in_anchors - self._corrective_anchors @ in_correctives
+        return frontal, (continued @ self._anchor_mix) @ self._outside
+
+    def distances(self, displacement: np.ndarray) -> tuple[float, float]:
+        """Figure 11: mean vertex distance (mm) of a displacement (3n,) from the anchor space and the adaptive space."""
+        residual = displacement - self.anchors @ (self.anchors.T @ displacement)
+        anchor = float(np.linalg.norm(residual.reshape(-1, 3), axis=1).mean())
+        residual = residual - self.correctives @ (self.correctives.T @ residual)
+        return anchor, float(np.linalg.norm(residual.reshape(-1, 3), axis=1).mean())
+
+    # ---- learning --------------------------------------------------------------------------------------------------
+    def classify(self, displacement: np.ndarray) -> tuple[SampleState, np.ndarray, np.ndarray]:
+        """Validity of a sample v2 - b0 (3n,): (state, s = its residual to the anchor space, its anchor coefficients)."""
+        in_anchors = self.anchors.T @ displacement
+        residual = displacement - self.anchors @ in_anchors
+        energy = float(residual @ residual) / self._unit
+        if not np.isfinite(energy) or energy >= self.parameters.valid_max:
+            return SampleState.OUTLIER, residual, in_anchors
+        state = SampleState.LEARNED if energy > self.parameters.valid_min else SampleState.IN_ANCHOR_SPACE
+        return state, residual, in_anchors
+
+    def learn(self, deformation: np.ndarray, displacement: np.ndarray) -> SampleState:
+        """One incremental update from v2 - v1 and v2 - b0, both (3n,); only valid samples change the model."""
+        state, residual, _ = self.classify(displacement)
+        if state is SampleState.LEARNED and self.parameters.K:
+            self._store(residual, self.anchors.T @ deformation)
+            if self._start_up() and self._ready():
+                self._update()
+        return state
+
+    def _store(self, sample: np.ndarray, in_anchors: np.ndarray) -> None:
+        """Put a sample into the buffer (the oldest one leaves) and keep S^T S and M_K^T S up to date."""
+        row = self._next
+        self._next = (row + 1) % self.parameters.S
+        self.count = min(self.count + 1, self.parameters.S)
+        self._samples[row] = sample
+        products = self._samples[: self.count] @ self._samples[row]
+        self._gram[row, : self.count] = self._gram[: self.count, row] = products
+        self._sample_anchors[row] = in_anchors
+        self._coordinates[row] = sample @ self.correctives
+        self._newest = row
+
+    def _start_up(self) -> bool:
+        """Grow the basis by the newest sample's own direction until K shapes exist; True when EM may run."""
+        k = self.correctives.shape[1]
+        if k >= self.parameters.K:
+            return True
+        sample = self._samples[self._newest].astype(float)
+        rest = sample - self.correctives @ (self.correctives.T @ sample)
+        rest -= self.anchors @ (self.anchors.T @ rest)
+        length = np.linalg.norm(rest)
+        # A near-duplicate of what is there has no direction of its own: keep the sample, not the rank deficiency.
+        if length < 1e-2 * np.linalg.norm(sample):
+            return k > 0
+        self.correctives = np.column_stack([self.correctives, rest / length])
+        self.correctives, _ = orthonormalise(self.correctives)
+        self._coordinates = self._samples @ self.correctives
+        own = self._sample_anchors[self._newest][:, None]
+        mixed = own - self._corrective_anchors @ self._coordinates[self._newest, :k][:, None]
+        self._corrective_anchors = np.column_stack([self._corrective_anchors, mixed / length])
+        return True
+
+    def _ready(self) -> bool:
+        """The paper updates once the buffer is full; the default from the first sample on."""
+        return self.parameters.startup == "growing" or self.count == self.parameters.S
+
+    def _update(self) -> None:
+        """EM on the buffer, then QR: the correctives become the leading principal directions of the samples."""
+        gram, coordinates = self._gram[: self.count, : self.count], self._coordinates[: self.count]
+        if np.linalg.matrix_rank(coordinates, tol=1e-6 * np.sqrt(np.trace(gram))) < coordinates.shape[1]:
+            return
+        mix = em_in_sample_space(gram, coordinates.T, self.parameters.em_steps)
+        correctives = (mix.T.astype(np.float32) @ self._samples[: self.count]).T.astype(float)
+        # Samples are orthogonal to the anchors up to their float32 storage; make it exact.
+        correctives -= self.anchors @ (self.anchors.T @ correctives)
+        self.correctives, triangle = orthonormalise(correctives)
+        mix = mix @ np.linalg.inv(triangle)
+        self._coordinates[: self.count] = gram @ mix
+        self._corrective_anchors = self._sample_anchors[: self.count].T @ mix
+        self.updates += 1

@@ -1,0 +1,55 @@
+"""Head pose from the 2D features alone: start and re-detection after loss (section 4.1)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..frame import RgbdFrame
+from ..mesh import rigid_alignment, transform_points
+from .feature_rows import reprojection_errors
+
+
+def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """Features with depth: (indices into the 40, points (f, 3) camera frame mm); depth is the median around the pixel."""
+    indices, points = [], []
+    height, width = frame.depth.shape
+    for index in np.flatnonzero(frame.features.valid):
+        u, v = frame.features.pixels[index]
+        iu, iv = int(round(u)), int(round(v))
+        if not (0 <= iu < width and 0 <= iv < height):
+            continue
+        patch = frame.depth[max(iv - radius, 0) : iv + radius + 1, max(iu - radius, 0) : iu + radius + 1]
+        measured = patch[patch > 0]
+        if len(measured) >= 3:
+            indices.append(index)
+            points.append(frame.camera.back_project(np.array([u, v]), np.median(measured)))
+    return np.array(indices, int), np.array(points).reshape(-1, 3)
+
+
+def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: float = 25.0) -> np.ndarray | None:
+    """Head-to-camera pose (4, 4) that brings the head-frame feature points (40, 3) onto the frame's features, or None.
+
+    Features lifted by the depth map are aligned rigidly, dropping the worst ones (holes, hair); where depth is missing at
+    most of them, a perspective-n-point solution of the pixels alone serves (cv2 SQPnP).
+    """
+    if frame.features is None or frame.features.valid.sum() < 6:
+        return None
+    indices, points = lift_features(frame)
+    if len(indices) >= 8:
+        keep = np.ones(len(indices), bool)
+        for _ in range(3):
+            pose = rigid_alignment(feature_points[indices[keep]], points[keep])
+            error = np.linalg.norm(transform_points(pose, feature_points[indices]) - points, axis=1)
+            keep = error <= max(2.0 * np.median(error), 3.0)
+        if np.median(error) < max_error:
+            return pose
+    seen = frame.features.valid
+    found, turn, shift = cv2.solvePnP(feature_points[seen], frame.features.pixels[seen], frame.camera.matrix, None,
+                                      flags=cv2.SOLVEPNP_SQPNP)
+    if not found or not 100.0 < float(shift[2, 0]) < 5000.0:
+        return None
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+    error = reprojection_errors(frame.features, frame.camera, transform_points(pose, feature_points))
+    return pose if np.median(error) < 20.0 else None

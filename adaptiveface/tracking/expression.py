@@ -1,0 +1,127 @@
+"""Fitting with the initial blendshapes (section 4.2) and re-solving coefficients for retargeting (section 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..actor import Actor
+from ..camera import Camera
+from ..frame import Features2D
+from ..mesh import transform_points
+from ..parameters import BlendshapeParameters
+from .bounded import bounded_least_squares
+from .depth_surface import DepthSurface, find_correspondences
+from .feature_rows import feature_rows
+from .rigid import apply_rigid_update, rigid_jacobian
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Quadratic energy in (pose update (6,), coefficients (A,)): H (6 + A, 6 + A) and right-hand side g (6 + A,)."""
+
+    h: np.ndarray
+    g: np.ndarray
+
+
+def add_rows(equations: NormalEquations, jacobian: np.ndarray, residual: np.ndarray, weights: np.ndarray, current: np.ndarray) -> None:
+    """Add sum_i w_i (residual_i + J_i (z - current))^2 in place; z stacks the pose update and the coefficients."""
+    weighted = jacobian * weights[:, None]
+    equations.h[...] += weighted.T @ jacobian
+    equations.g[...] += weighted.T @ (jacobian @ current - residual)
+
+
+class BlendshapeFit:
+    """Equations (1) and (2): depth (point to plane) and 2D features, solved for bounded coefficients.
+
+    Departures from the paper, both measured (paper-notes in the docs): the rigid pose is solved together with the
+    coefficients (``joint_pose``), because an expression biases a pose that is found alone; a ridge and a temporal penalty
+    keep coefficients that the data do not determine from wandering.
+    """
+
+    def __init__(self, actor: Actor, parameters: BlendshapeParameters) -> None:
+        count = min(parameters.A, len(actor.blendshapes))
+        self.parameters = parameters
+        self.neutral = actor.neutral
+        self.basis = actor.blendshapes[:count]
+        #: Vertices that may take a depth correspondence, and their part of b0 and B.
+        self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)
+        self._b0 = np.ascontiguousarray(self.neutral[self.depth_vertices])
+        self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0))
+        corners = actor.feature_triangles
+        self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[corners])
+        self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, corners])
+        self._flat = self.basis.reshape(count, -1)
+        frontal = self.basis[:, actor.frontal].reshape(count, -1)
+        self._frontal, self._frontal_basis, self._frontal_gram = actor.frontal, frontal, frontal @ frontal.T
+
+    def shape(self, x: np.ndarray) -> np.ndarray:
+        """v1 = b0 + B x, (N, 3) in the head frame."""
+        return self.neutral + (x @ self._flat).reshape(-1, 3)
+
+    def feature_points(self, x: np.ndarray) -> np.ndarray:
+        """(40, 3) head-frame points of the features at coefficients x."""
+        return self._f0 + self._f @ x
+
+    def fit(self, surface: DepthSurface, features: Features2D | None, camera: Camera, pose: np.ndarray, x: np.ndarray,
+            normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Alternate between correspondences and bounded solve; returns (pose (4, 4), x (A,)).
+
+        ``x`` the coefficients of the previous frame, ``normals`` (n, 3) head-frame normals of ``depth_vertices``.
+        """
+        previous = x
+        for _ in range(self.parameters.iterations):
+            equations, centre = self._assemble(surface, features, camera, pose, x, previous, normals)
+            update, x = self._solve(equations, x)
+            if self.parameters.joint_pose:
+                pose = apply_rigid_update(pose, update, centre)
+        return pose, x
+
+    def _assemble(self, surface, features, camera, pose, x, previous, normals) -> tuple[NormalEquations, np.ndarray]:
+        p, count = self.parameters, len(x)
+        equations = NormalEquations(np.zeros((6 + count, 6 + count)), np.zeros(6 + count))
+        current = np.concatenate([np.zeros(6), x])
+        points = transform_points(pose, self._b0 + self._b @ x)
+        centre = points.mean(axis=0)
+        matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, p.prune)
+        matched = np.flatnonzero(matches.weights)
+        plane = matches.normals[matched]
+        jacobian = np.empty((len(matched), 6 + count))
+        jacobian[:, :6] = rigid_jacobian(points[matched], plane, centre)
+        jacobian[:, 6:] = np.einsum("nd,nda->na", plane @ pose[:3, :3], self._b[matched])
+        distances = matches.distances[matched]
+        weights = matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
+        add_rows(equations, jacobian, distances, weights, current)
+
+        rows = feature_rows(features, camera, pose)
+        if len(rows.index):
+            points = self._f0[rows.index] + self._f[rows.index] @ x
+            residual = np.einsum("fij,fj->fi", rows.rows, points) + rows.offsets
+            in_camera = rows.rows @ pose[:3, :3].T
+            lever = transform_points(pose, points) - centre
+            turn = np.cross(lever[:, None, :], in_camera)
+            jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
+            add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
+        ridge = np.concatenate([np.full(6, 1e-6), np.full(count, p.ridge + p.temporal)])
+        equations.h[...] += np.diag(ridge)
+        equations.g[6:] += p.temporal * previous
+        return equations, centre
+
+    def _solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Eliminate the unbounded pose update (Schur complement), solve the bounded coefficients, substitute back."""
+        h, g, count = equations.h, equations.g, len(x)
+        lower, upper = np.full(count, self.parameters.lower), np.full(count, self.parameters.upper)
+        if not self.parameters.joint_pose:
+            return np.zeros(6), bounded_least_squares(h[6:, 6:], g[6:], lower, upper, x)
+        eliminated = np.linalg.solve(h[:6, :6], np.column_stack([h[:6, 6:], g[:6]]))
+        reduced = h[6:, 6:] - h[6:, :6] @ eliminated[:, :-1]
+        x = bounded_least_squares(reduced, g[6:] - h[6:, :6] @ eliminated[:, -1], lower, upper, x)
+        return eliminated[:, -1] - eliminated[:, :-1] @ x, x
+
+    def resolve(self, vertices: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Section 6: bounded coefficients (A,) closest to a head-frame mesh (N, 3) over the frontal region."""
+        displacement = (vertices - self.neutral)[self._frontal].ravel()
+        lower, upper = np.full(len(x), self.parameters.lower), np.full(len(x), self.parameters.upper)
+        ridge = self.parameters.ridge * np.eye(len(x))
+        return bounded_least_squares(self._frontal_gram + ridge, self._frontal_basis @ displacement, lower, upper, x)

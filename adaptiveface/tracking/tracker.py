@@ -1,0 +1,192 @@
+"""The tracker: one depth frame in, every stage's result out. Read it beside section 4 of the paper."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+
+import numpy as np
+
+from ..actor import Actor
+from ..frame import RgbdFrame
+from ..mesh import transform_points, vertex_normals
+from ..parameters import Parameters
+from .adaptive_pca import AdaptiveModel
+from .depth_surface import DepthSurface, crop_window, depth_surface, find_correspondences
+from .detection import pose_from_features
+from .expression import BlendshapeFit
+from .feature_rows import feature_rows, reprojection_errors
+from .kalman import CoefficientFilter
+from .laplacian import LaplacianDeformation, feature_term
+from .rigid import RigidFit, RigidTracker
+from .types import STAGE_NAMES, SampleState, TrackedFrame
+
+
+class FaceTracker:
+    """Tracks one actor. ``track(frame)`` for every frame in order; ``reset()`` starts over, ``forget()`` drops the pose only.
+
+    State between frames: the head pose, the coefficients, the last deformation, and the adaptive model (``model``).
+    """
+
+    def __init__(self, actor: Actor, parameters: Parameters | None = None) -> None:
+        self.actor = actor
+        self.parameters = p = parameters or Parameters()
+        self.blendshapes = BlendshapeFit(actor, p.blendshapes)
+        self.model = AdaptiveModel(actor, self.blendshapes.basis, p.adaptive_pca)
+        self.kalman = CoefficientFilter(p.kalman)
+        frontal, triangles = actor.frontal, actor.triangles
+        rigging = (actor.neutral, triangles, frontal, actor.feature_triangles, actor.feature_weights)
+        self.deformation = LaplacianDeformation(*rigging, p.laplacian.w1, p.laplacian.w2)
+        self.final_deformation = LaplacianDeformation(*rigging, 0.0, p.laplacian.final_w2)
+        self._frontal = np.flatnonzero(frontal)
+        self._may_match = actor.depth_valid[frontal]
+        local = np.cumsum(frontal) - 1
+        self._frontal_triangles = local[triangles[frontal[triangles].all(axis=1)]]
+        motion = np.linalg.norm(self.blendshapes.basis[:, self.blendshapes.depth_vertices], axis=2).max(axis=0)
+        self.rigid = RigidTracker(1.0 / (1.0 + (motion / p.rigid.stiff) ** 2), p.rigid)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start over: forget the pose, the expression and everything learned."""
+        self.model.reset()
+        self._x = np.zeros(len(self.blendshapes.basis))
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget where the head was; the next frame is searched by its 2D features."""
+        self.pose: np.ndarray | None = None
+        self._x = np.zeros_like(self._x)
+        self._deformation = np.zeros((len(self._frontal), 3))
+        self.kalman.reset()
+
+    def track(self, frame: RgbdFrame) -> TrackedFrame:
+        """Section 4 for one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
+        ms = dict.fromkeys(STAGE_NAMES, 0.0)
+        normals = self._normals()
+        rigid, surface = self._find_head(frame, normals, ms)
+        if rigid is None:
+            self.forget()
+            return self._untracked(frame, ms)
+
+        with _timed(ms, "blendshapes"):  # section 4.2
+            stiff = normals[self._may_match]
+            pose, x = self.blendshapes.fit(surface, frame.features, frame.camera, rigid.pose, self._x, stiff)
+            limits = self.parameters.blendshapes
+            x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
+            v1 = self.blendshapes.shape(x)
+        with _timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
+            deformation, coverage = self._deform_to_depth(surface, frame, pose, v1, normals)
+            v2 = self._displace(v1, deformation)
+        with _timed(ms, "projection"):  # section 4.3, last equation
+            v3 = self._project(v2)
+        with _timed(ms, "final_deformation"):  # section 4.4
+            v4 = self._displace(v3, self._deform_to_features(frame, pose, v3))
+        with _timed(ms, "adaptive_pca"):  # section 5
+            state = self._learn(v2, deformation, coverage)
+        with _timed(ms, "resolve"):  # section 6
+            coefficients = self.blendshapes.resolve(v4, x)
+
+        self.pose, self._x, self._deformation = pose, x, deformation
+        anchor, adaptive = self.model.distances(self._displacement(v4))
+        return TrackedFrame(frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, state,
+                            self.model.updates, rigid.residual, anchor, adaptive, ms)
+
+    # ---- section 4.1 -----------------------------------------------------------------------------------------------
+    def _find_head(self, frame: RgbdFrame, normals: np.ndarray, ms) -> tuple[RigidFit | None, DepthSurface | None]:
+        """Rigid ICP from the last pose, or from the 2D features where that fails or disagrees with them."""
+        best: tuple[RigidFit | None, DepthSurface | None] = (None, None)
+        for propose in (lambda: self.pose, lambda: self._detect(frame)):
+            with _timed(ms, "preprocess"):
+                start = propose()
+                surface = None if start is None else self._crop(frame, start)
+            if surface is None:
+                continue
+            with _timed(ms, "rigid"):
+                shape = self.blendshapes.shape(self._x)[self.blendshapes.depth_vertices]
+                fit = self.rigid.align(surface, shape, normals[self._may_match], start)
+            if fit.residual < self.parameters.rigid.lost:
+                if self._agrees(frame, fit.pose):
+                    return fit, surface
+                best = best if best[0] and best[0].residual < fit.residual else (fit, surface)
+        return best
+
+    def _detect(self, frame: RgbdFrame) -> np.ndarray | None:
+        return pose_from_features(frame, self.blendshapes.feature_points(self._x))
+
+    def _agrees(self, frame: RgbdFrame, pose: np.ndarray) -> bool:
+        if frame.features is None or frame.features.valid.sum() < 6:
+            return True
+        points = transform_points(pose, self.blendshapes.feature_points(self._x))
+        return bool(np.median(reprojection_errors(frame.features, frame.camera, points)) < self.parameters.rigid.relocate)
+
+    def _crop(self, frame: RgbdFrame, pose: np.ndarray) -> DepthSurface | None:
+        points = transform_points(pose, self.actor.neutral[self._frontal])
+        if (points[:, 2] < 50.0).any():
+            return None
+        pixels = frame.camera.project(points)
+        p = self.parameters.depth
+        window = crop_window(frame.camera, pixels, p.margin * frame.camera.fx / float(points[:, 2].mean()), p.crop)
+        surface = depth_surface(frame.depth, frame.camera, window, p)
+        return surface if surface.valid.any() else None
+
+    # ---- sections 4.3, 4.4 and 5 -----------------------------------------------------------------------------------
+    def _normals(self) -> np.ndarray:
+        """(n, 3) head-frame normals of the frontal vertices at the last coefficients."""
+        return vertex_normals(self.blendshapes.shape(self._x)[self._frontal], self._frontal_triangles)
+
+    def _deform_to_depth(self, surface, frame, pose, v1, normals) -> tuple[np.ndarray, float]:
+        p = self.parameters.laplacian
+        points = transform_points(pose, v1[self._frontal])
+        matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, p.prune)
+        matches.weights[~self._may_match] = 0.0
+        coverage = matches.count / max(int(self._may_match.sum()), 1)
+        term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
+        planes = matches.normals @ pose[:3, :3]
+        return self.deformation.deform(matches, planes, term, self._deformation, p.steps), coverage
+
+    def _deform_to_features(self, frame: RgbdFrame, pose: np.ndarray, v3: np.ndarray) -> np.ndarray:
+        term = self._feature_term(frame, pose, v3, self.parameters.laplacian.final_feature_weight, hold_depth=True)
+        return self.final_deformation.deform_to_features(term)
+
+    def _feature_term(self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray, weight: float, hold_depth: bool):
+        rows = feature_rows(frame.features, frame.camera, pose)
+        actor = self.actor
+        corners, share = actor.feature_triangles[rows.index], actor.feature_weights[rows.index]
+        points = np.einsum("fk,fkd->fd", share, vertices[corners])
+        return feature_term(rows, points, pose, frame.camera.fx, weight, hold_depth)
+
+    def _project(self, v2: np.ndarray) -> np.ndarray:
+        frontal, outside = self.model.project(self._displacement(v2))
+        v3 = self.actor.neutral.copy()
+        v3[self._frontal] += frontal.reshape(-1, 3)
+        v3[~self.actor.frontal] += outside.reshape(-1, 3)
+        return v3
+
+    def _learn(self, v2: np.ndarray, deformation: np.ndarray, coverage: float) -> SampleState:
+        p, displacement = self.parameters.adaptive_pca, self._displacement(v2)
+        if not p.learn or coverage < p.min_coverage:
+            return self.model.classify(displacement)[0] if not p.learn else SampleState.OUTLIER
+        return self.model.learn(deformation.ravel(), displacement)
+
+    def _displacement(self, vertices: np.ndarray) -> np.ndarray:
+        return (vertices[self._frontal] - self.actor.neutral[self._frontal]).ravel()
+
+    def _displace(self, vertices: np.ndarray, deformation: np.ndarray) -> np.ndarray:
+        moved = vertices.copy()
+        moved[self._frontal] += deformation
+        return moved
+
+    def _untracked(self, frame: RgbdFrame, ms: dict[str, float]) -> TrackedFrame:
+        neutral, x = self.actor.neutral, self._x
+        reason = "the head was not found" if frame.depth.any() else "the depth map is empty"
+        return TrackedFrame(frame.index, frame.timestamp, False, np.eye(4), neutral, neutral, neutral, neutral, x, x,
+                            SampleState.UNTRACKED, self.model.updates, stage_ms=ms, reason=reason)
+
+
+@contextmanager
+def _timed(ms: dict[str, float], stage: str):
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        ms[stage] += (time.perf_counter() - start) * 1e3
