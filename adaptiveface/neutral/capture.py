@@ -1,0 +1,87 @@
+"""Section 3 in one call: depth frames of a neutral face in, the personal rig out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..actor import Actor
+from ..blendshapes import deformation_transfer
+from ..errors import TrackingError
+from ..face_model import FaceModel, embedded_face_model
+from ..frame import RgbdFrame
+from ..parameters import Parameters
+from .fit import IdentityFit, fit_identity
+from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
+from .shrink_wrap import ShrinkWrap, shrink_wrap
+
+
+@dataclass(frozen=True)
+class NeutralCapture:
+    """Every step's result: scan (in the head frame), fit, wrap (in the head frame), actor."""
+
+    scan: FusedScan
+    fit: IdentityFit
+    wrap: ShrinkWrap
+    actor: Actor
+
+
+def capture_actor(
+    frames: Sequence[RgbdFrame],
+    model: FaceModel | None = None,
+    parameters: Parameters = Parameters(),
+    progress: Progress | None = None,
+) -> Actor:
+    """Capture the neutral face of one person and build the personal blendshapes (paper, section 3).
+
+    frames: of the neutral face, at least one with 2D features; model: the embedded one by default; progress: called with
+    the step's name and the share done. Raises :class:`TrackingError` when no face is found.
+    """
+    return capture_neutral(frames, model, parameters, progress).actor
+
+
+def capture_neutral(
+    frames: Sequence[RgbdFrame],
+    model: FaceModel | None = None,
+    parameters: Parameters = Parameters(),
+    progress: Progress | None = None,
+) -> NeutralCapture:
+    """As :func:`capture_actor`, with every intermediate result."""
+    model = embedded_face_model() if model is None else model
+    if len(frames) == 0:
+        raise TrackingError("no neutral frames were given: at least one RGB-D frame with a face is needed")
+    report = progress or (lambda step, share: None)
+    scan = fuse_frames(frames, model, parameters.fusion, report)
+    report("fit", 0.0)
+    fit = fit_identity(scan, model, parameters.fit)
+    report("shrink_wrap", 0.0)
+    scan = in_head_frame(scan, np.linalg.inv(fit.scan_from_head))
+    wrap = shrink_wrap(scan, model, fit.vertices, parameters.shrink_wrap)
+    report("blendshapes", 0.0)
+    actor = build_actor(model, wrap.vertices, scan, fit.identity)
+    report("blendshapes", 1.0)
+    return NeutralCapture(scan, fit, wrap, actor)
+
+
+def build_actor(model: FaceModel, neutral: np.ndarray, scan: FusedScan | None = None, identity=None) -> Actor:
+    """The rig of a head whose neutral (V, 3) is known: the generic expressions transferred to it."""
+    blendshapes = deformation_transfer(model.mean, neutral, model.triangles, model.generic_expressions)
+    empty = np.zeros((0, 3))
+    return Actor(
+        neutral=neutral,
+        blendshapes=blendshapes,
+        triangles=model.triangles,
+        frontal=model.frontal,
+        expression_names=model.generic_names,
+        feature_triangles=model.feature_triangles,
+        feature_weights=model.feature_weights,
+        depth_valid=model.depth_valid,
+        scan_points=empty if scan is None else scan.points,
+        scan_normals=empty if scan is None else scan.normals,
+        identity=np.zeros(0) if identity is None else np.asarray(identity, float),
+    )
+
+
+__all__ = ["NeutralCapture", "build_actor", "capture_actor", "capture_neutral"]

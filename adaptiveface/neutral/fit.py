@@ -1,0 +1,164 @@
+"""Section 3, second step: rigid pose and identity coefficients that bring the statistical model onto the merged scan.
+
+The energy is a negative log posterior (Blanz & Vetter 1999): point-to-plane distances to the scan and point-to-ray
+distances to the 2D features, each over its expected deviation, plus the Gaussian prior of the coefficients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import TrackingError
+from ..face_model import FaceModel
+from ..mesh import rotation_vector_matrix, surface_points, transform_points, vertex_areas, vertex_normals
+from ..parameters import FitParameters
+from .features import FeatureConstraints, feature_constraints
+from .fuse import FusedScan
+
+_MIN_CORRESPONDENCES = 300
+
+
+@dataclass(frozen=True)
+class IdentityFit:
+    """identity (M,) coefficients, standard deviations; scan_from_head (4, 4): model head frame to scan frame; vertices
+    (V, 3): the fitted head in the head frame, mm; residual: median point-to-plane distance, mm; matched (V,) bool:
+    vertices with a scan correspondence; feature_rms (40,) mm, NaN where unseen; residuals per iteration (I,) mm.
+    """
+
+    identity: np.ndarray
+    scan_from_head: np.ndarray
+    vertices: np.ndarray
+    residual: float
+    matched: np.ndarray
+    feature_rms: np.ndarray
+    history: np.ndarray
+
+
+@dataclass(frozen=True)
+class ScanCorrespondences:
+    """Closest scan points of mesh vertices: vertices (n,) numbers, points (n, 3), normals (n, 3), distances (n,) signed."""
+
+    vertices: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    distances: np.ndarray
+
+
+class ScanSearch:
+    """Closest-point queries on a merged scan, with the usual rejections."""
+
+    def __init__(self, scan: FusedScan) -> None:
+        self.scan, self.tree = scan, cKDTree(scan.points)
+
+    def correspondences(self, vertices, normals, allowed, reach: float, normal_angle: float) -> ScanCorrespondences:
+        """Partners of the ``allowed`` (V,) vertices (V, 3) nearer than ``reach`` mm whose normals agree."""
+        numbers = np.flatnonzero(allowed)
+        distance, nearest = self.tree.query(vertices[numbers], distance_upper_bound=reach)
+        numbers, nearest = numbers[np.isfinite(distance)], nearest[np.isfinite(distance)]
+        points, planes = self.scan.points[nearest], self.scan.normals[nearest]
+        offset = vertices[numbers] - points
+        along = (offset * planes).sum(axis=1)
+        # A large offset inside the surface means that the scan ends here: its rim would attract everything beyond.
+        sideways = np.linalg.norm(offset - along[:, None] * planes, axis=1)
+        agree = (planes * normals[numbers]).sum(axis=1) > np.cos(np.radians(normal_angle))
+        keep = agree & (sideways < np.maximum(4.0, 0.7 * np.abs(along)))
+        return ScanCorrespondences(numbers[keep], points[keep], planes[keep], along[keep])
+
+
+def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = FitParameters()) -> IdentityFit:
+    """Solve for the global rigid transformation and the identity coefficients (paper, section 3).
+
+    Alternates closest points with one Gauss-Newton step on all unknowns; first the pose alone, then a growing number of
+    modes. Raises :class:`TrackingError` when the scan and the model do not meet.
+    """
+    search = ScanSearch(scan)
+    modes = min(parameters.modes, len(model.identity_modes))
+    identity, pose = np.zeros(modes), np.eye(4)
+    area = vertex_areas(model.mean, model.triangles)
+    history, reach = [], parameters.reach
+    found = constraints = None
+    for iteration in range(parameters.iterations):
+        used = _modes_now(iteration, modes)
+        vertices, normals = _posed(model, identity, pose)
+        found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
+        if len(found.vertices) < _MIN_CORRESPONDENCES:
+            raise TrackingError(
+                f"the face model meets the neutral scan in {len(found.vertices)} points only: the scan does not show a "
+                "face where the 2D features see one"
+            )
+        constraints = _constraints(scan, model, vertices, normals)
+        history.append(float(np.median(np.abs(found.distances))))
+        step, change = _step(model, identity, pose, used, found, constraints, area, parameters)
+        pose, identity = step @ pose, identity + change
+        reach = float(np.clip(6 * 1.4826 * history[-1], 4.0, parameters.reach))
+    vertices, normals = _posed(model, identity, pose)
+    found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
+    matched = np.zeros(len(vertices), bool)
+    matched[found.vertices] = True
+    constraints = _constraints(scan, model, vertices, normals)
+    rms = constraints.rms(surface_points(vertices, model.feature_triangles, model.feature_weights))
+    return IdentityFit(
+        identity, pose, model.neutral(identity), float(np.median(np.abs(found.distances))), matched,
+        np.where(constraints.seen, rms, np.nan), np.array(history),
+    )
+
+
+def _modes_now(iteration: int, modes: int) -> int:
+    """Pose alone for 4 rounds, then 3 more modes every round: the strong modes settle before the fine ones."""
+    return min(modes, max(0, 3 * (iteration - 3)))
+
+
+def _posed(model: FaceModel, identity: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    vertices = transform_points(pose, model.neutral(identity))
+    return vertices, vertex_normals(vertices, model.triangles)
+
+
+def _constraints(scan: FusedScan, model: FaceModel, vertices, normals) -> FeatureConstraints:
+    points = surface_points(vertices, model.feature_triangles, model.feature_weights)
+    planes = surface_points(normals, model.feature_triangles, model.feature_weights)
+    return feature_constraints(scan, points, planes)
+
+
+def _step(model, identity, pose, used, found, constraints, area, parameters) -> tuple[np.ndarray, np.ndarray]:
+    """One Gauss-Newton step: (4, 4) motion about the head's centre, (M,) change of the coefficients."""
+    modes = len(identity)
+    vertices = transform_points(pose, model.neutral(identity))
+    centre = vertices[found.vertices].mean(axis=0)
+    turned = np.einsum("mvi,ji->mvj", model.identity_modes[:used], pose[:3, :3])
+    # Point to plane, with Tukey's weights and the vertices' areas (their density must not decide).
+    scale = max(3 * 1.4826 * np.median(np.abs(found.distances)), 1.0)
+    weight = area[found.vertices] * np.clip(1 - (found.distances / (1.5 * scale)) ** 2, 0, None) ** 2
+    weight *= parameters.samples / area[found.vertices].sum() / parameters.scan_sigma**2
+    rigid = np.concatenate([np.cross(vertices[found.vertices] - centre, found.normals), found.normals], axis=1)
+    shape = np.einsum("mnj,nj->nm", turned[:, found.vertices], found.normals)
+    rows = np.concatenate([rigid, shape], axis=1)
+    lhs, rhs = rows.T @ (rows * weight[:, None]), -rows.T @ (weight * found.distances)
+    _add_features(lhs, rhs, model, vertices, turned, centre, constraints, parameters)
+    prior = np.arange(6, 6 + used)
+    lhs[prior, prior] += 1.0
+    rhs[prior] -= identity[:used]
+    lhs[np.arange(6), np.arange(6)] += 1e-9 * np.trace(lhs[:6, :6])
+    solution = np.linalg.solve(lhs, rhs)
+    step = np.eye(4)
+    step[:3, :3] = rotation_vector_matrix(solution[:3])
+    step[:3, 3] = centre + solution[3:6] - step[:3, :3] @ centre
+    change = np.zeros(modes)
+    change[:used] = solution[6:]
+    return step, change
+
+
+def _add_features(lhs, rhs, model, vertices, turned, centre, constraints: FeatureConstraints, parameters) -> None:
+    """Point-to-ray rows of the 2D features, added to the normal equations in place."""
+    points = surface_points(vertices, model.feature_triangles, model.feature_weights)
+    shape = np.einsum("fk,mfkj->fjm", model.feature_weights, turned[:, model.feature_triangles])
+    x, y, z = (points - centre).T
+    zero = np.zeros_like(x)
+    spin = np.stack([np.stack(r, axis=1) for r in ([zero, z, -y], [-z, zero, x], [y, -x, zero])], axis=1)
+    jacobian = np.concatenate([spin, np.broadcast_to(np.eye(3), spin.shape), shape], axis=2)
+    offset = np.einsum("fij,fj->fi", constraints.A, points) - constraints.b
+    weight = constraints.seen / parameters.feature_sigma**2
+    lhs += np.einsum("f,fim,fij,fjn->mn", weight, jacobian, constraints.A, jacobian, optimize=True)
+    rhs -= np.einsum("f,fim,fi->m", weight, jacobian, offset)
