@@ -1,0 +1,125 @@
+"""What makes a performer a person: identity detail, own expression units, a jaw that turns, combinations that interact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .fields import smooth_field
+
+#: Pairs of expression units that change each other when active together.
+INTERACTIONS = (
+    ("jawOpen", "mouthSmileLeft"), ("jawOpen", "mouthSmileRight"), ("jawOpen", "mouthPucker"), ("jawOpen", "mouthFunnel"),
+    ("jawOpen", "mouthStretchLeft"), ("jawOpen", "mouthStretchRight"), ("cheekPuff", "mouthPucker"),
+    ("mouthSmileLeft", "mouthSmileRight"), ("browDownLeft", "browInnerUp"), ("browDownRight", "browInnerUp"),
+    ("mouthFrownLeft", "mouthShrugLower"), ("mouthFrownRight", "mouthShrugLower"), ("noseSneerLeft", "mouthUpperUpLeft"),
+    ("noseSneerRight", "mouthUpperUpRight"), ("jawOpen", "jawLeft"), ("jawOpen", "jawRight"),
+)
+
+
+def identity_detail(rng: np.random.Generator, points: np.ndarray, size: float) -> np.ndarray:
+    """(V, 3) mm: asymmetric displacement that the identity modes do not hold, ``size`` mm rms over the points (V, 3).
+
+    Three octaves: asymmetry of the whole head, bumps of cheeks and brows, skin-scale undulation.
+    """
+    field = np.zeros_like(points)
+    for wavelength, share in ((140.0, 0.6), (60.0, 0.7), (28.0, 0.35)):
+        field += share * smooth_field(rng, points, wavelength, 3)
+    return field * (size / np.sqrt((field**2).sum(axis=1).mean()))
+
+
+def personal_units(
+    rng: np.random.Generator, points: np.ndarray, units: np.ndarray, names: tuple[str, ...], variation: float = 1.0
+) -> np.ndarray:
+    """(E, V, 3) mm: the person's own expression units, warped from the generic ones (E, V, 3).
+
+    Per unit: a smooth gain (standard deviation 0.18), a smooth rotation of the direction (10 degrees), a strength of its own,
+    and left/right imbalance, since the two sides draw apart. Blinks vary less: lids must close.
+    """
+    out = np.empty_like(units)
+    for e, name in enumerate(names):
+        lid = name.startswith("eye")
+        scale = variation * (0.3 if lid else 1.0)
+        gain = np.exp(scale * 0.18 * smooth_field(rng, points, 90.0))
+        turn = scale * np.radians(10.0) / np.sqrt(2) * smooth_field(rng, points, 90.0, 3)
+        strength = np.exp(scale * rng.normal(0, 0.12))
+        moved = units[e] + np.cross(turn, units[e])
+        length = np.linalg.norm(units[e], axis=1, keepdims=True) / np.maximum(
+            np.linalg.norm(moved, axis=1, keepdims=True), 1e-9
+        )
+        out[e] = strength * gain * length * moved
+    return out
+
+
+def path_bends(rng: np.random.Generator, points: np.ndarray, units: np.ndarray, size: float = 0.06) -> np.ndarray:
+    """(E, V, 3) mm: how far each unit leaves the straight path half-way; ``size`` is a share of the displacement."""
+    out = np.empty_like(units)
+    for e in range(len(units)):
+        axis = smooth_field(rng, points, 90.0, 3) / np.sqrt(3)
+        out[e] = size * np.cross(axis, units[e])
+    return out
+
+
+@dataclass(frozen=True)
+class Interactions:
+    """What pairs of units (P, 2) add when both are active: fields (P, V, 3) mm at full activation of both."""
+
+    pairs: np.ndarray
+    fields: np.ndarray
+
+    def displacement(self, activations: np.ndarray) -> np.ndarray | float:
+        """(V, 3) mm for activations (E,)."""
+        both = np.clip(activations[self.pairs], 0, 1.2).prod(axis=1)
+        active = both > 1e-4
+        return np.tensordot(both[active], self.fields[active], axes=1) if active.any() else 0.0
+
+
+def make_interactions(
+    rng: np.random.Generator, points: np.ndarray, units: np.ndarray, names: tuple[str, ...], size: float = 1.4
+) -> Interactions:
+    """Smooth fields where both units of a pair move the skin, ``size`` mm rms there."""
+    pairs, fields = [], []
+    for a, b in INTERACTIONS:
+        field = smooth_field(rng, points, 70.0, 3) * (size / np.sqrt(3))
+        if a in names and b in names:
+            pair = [names.index(a), names.index(b)]
+            moved = np.linalg.norm(units[pair], axis=2)
+            shared = np.sqrt(moved.prod(axis=0))
+            pairs.append(pair)
+            fields.append(field * (shared / max(shared.max(), 1e-9))[:, None])
+    return Interactions(np.array(pairs, int).reshape(-1, 2), np.array(fields).reshape(-1, *points.shape))
+
+
+@dataclass(frozen=True)
+class JawHinge:
+    """A jaw that opens by turning: the arc that the straight unit leaves out.
+
+    arm (V, 2) mm: y and z of each vertex from the hinge; angle (V,) radians at full activation, from the person's own unit.
+    """
+
+    arm: np.ndarray
+    angle: np.ndarray
+
+    def displacement(self, activation: float) -> np.ndarray:
+        """(V, 2) mm in y and z between the arc and its chord; zero at activations 0 and 1."""
+        return self._turned(activation) - activation * self._turned(1.0)
+
+    def _turned(self, activation: float) -> np.ndarray:
+        angle = activation * self.angle
+        cos, sin = np.cos(angle) - 1, np.sin(angle)
+        y, z = self.arm.T
+        return np.stack([cos * y - sin * z, sin * y + cos * z], axis=1)
+
+
+def make_jaw_hinge(neutral: np.ndarray, unit: np.ndarray) -> JawHinge:
+    """Find the hinge from the jaw-open unit (V, 3): chords of a rotation stand square on the line from their middle to it."""
+    chord, middle = unit[:, 1:], neutral[:, 1:] + 0.5 * unit[:, 1:]
+    length = np.linalg.norm(chord, axis=1)
+    jaw = length > 0.5 * length.max()
+    hinge = np.linalg.lstsq(chord[jaw], (chord[jaw] * middle[jaw]).sum(axis=1), rcond=None)[0]
+    arm = neutral[:, 1:] - hinge
+    radius = np.linalg.norm(arm, axis=1)
+    turn = np.sign(arm[:, 0] * chord[:, 1] - arm[:, 1] * chord[:, 0])
+    angle = turn * 2 * np.arcsin(np.clip(length / (2 * np.maximum(radius, 20.0)), 0, 0.5))
+    return JawHinge(arm, angle)

@@ -1,0 +1,153 @@
+"""The synthetic RGB-D sensor: a performer in front of a depth camera, with exact ground truth.
+
+Seeds 0 to 99 are for development and tuning; report results on seeds of 1000 and above only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import ParameterError
+from ..face_model import FaceModel
+from ..frame import Features2D, RgbdFrame
+from ..mesh import rotation_vector_matrix, surface_points, transform_points
+from ..rendering import Hits, covering_window, ray_cast
+from .noise import DEPTH_SCALES, add_noise
+from .paint import Painter
+from .performer import Performer
+from .scene import Scene
+from .script import HeadMotion, performance
+
+#: A feature that lies this far behind the visible surface cannot be seen, mm.
+OCCLUSION = 10.0
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """What is true in one frame: V vertices, E expression units.
+
+    vertices (V, 3) mm, camera frame, exactly on the rendered skin; rigid (4, 4) head to camera; activations (E,); features
+    (40, 2) exact pixels; performance: -1 neutral scan, 0 first performance, 1 its repeat, ...
+    """
+
+    vertices: np.ndarray
+    rigid: np.ndarray
+    activations: np.ndarray
+    features: np.ndarray
+    performance: int
+
+
+class SyntheticSensor:
+    """A repeatable recording of a :class:`Performer`: ``neutral_frames`` of neutral face while the head turns, then the same
+    ``frames`` of expressions ``repeats`` times, with head motion and noise of their own.
+
+    ``noise``: "structured-light", "truedepth" or "none"; ``feature_noise``: standard deviation of the 2D features, pixels per
+    coordinate; ``colour=False`` leaves the pictures out (faster); ``focal`` px; ``distance`` mm; ``performer`` replaces the one
+    drawn from ``seed`` and ``model``. Frames are a function of (seed, index): any order, as often as wanted.
+
+    Attributes: camera, name, fps, depth_scale (units per metre in which the depth is rounded), performer, script (frames, E).
+    """
+
+    fps = 30.0
+
+    def __init__(
+        self, seed: int = 0, noise: str = "structured-light", neutral_frames: int = 40, frames: int = 300, repeats: int = 2,
+        width: int = 640, height: int = 480, feature_noise: float = 0.5, *, colour: bool = True, focal: float = 525.0,
+        distance: float = 600.0, model: FaceModel | None = None, performer: Performer | None = None,
+    ) -> None:
+        if noise not in DEPTH_SCALES:
+            raise ParameterError(f"noise = {noise!r}: one of {', '.join(DEPTH_SCALES)} is expected")
+        if neutral_frames < 0 or frames < 0 or repeats < 0 or feature_noise < 0:
+            raise ParameterError("neutral_frames, frames, repeats and feature_noise must not be negative")
+        self.seed, self.noise, self.feature_noise, self.colour = seed, noise, feature_noise, colour
+        self.neutral_frames, self.frames, self.repeats = neutral_frames, frames, repeats
+        self.name = f"synthetic performer {seed}, {noise} noise"
+        self.depth_scale = DEPTH_SCALES[noise]
+        self.camera = Camera(width, height, focal * width / 640, focal * width / 640, (width - 1) / 2, (height - 1) / 2)
+        self.performer = Performer(seed, model) if performer is None else performer
+        self.script = performance(seed, self.performer.expression_names, frames)
+        self._motion = HeadMotion(seed, neutral_frames, self.fps, distance)
+        self._scene = Scene(self.performer, self._motion.pose(0))
+        self._painter = Painter(self._scene, seed) if colour else None
+        self._feature_drift = _drift(np.random.default_rng([seed, 0xD21F]))
+        # The ground truth of a frame is mostly asked for right after the frame.
+        self._skin = lru_cache(maxsize=2)(self._deform)
+
+    def __len__(self) -> int:
+        return self.neutral_frames + self.frames * self.repeats
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        return (self.read(index) for index in range(len(self)))
+
+    def ground_truth(self, index: int) -> GroundTruth:
+        """The exact answer for frame ``index``; raises IndexError outside the recording."""
+        activations, part = self._activations(index)
+        rigid = self._motion.pose(index)
+        vertices = transform_points(rigid, self._skin(index)[: len(self.performer.neutral)])
+        features = self.camera.project(self._features(vertices))
+        return GroundTruth(vertices, rigid, activations, features, part)
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame ``index`` with depth, features and (unless ``colour=False``) colour; raises IndexError outside."""
+        truth = self.ground_truth(index)
+        vertices = self._scene.vertices(self._skin(index), truth.rigid, self._gaze(truth.activations))
+        window = covering_window(self.camera, vertices, margin=2)
+        hits = ray_cast(self.camera, vertices, self._scene.triangles, window)
+        u0, v0, u1, v1 = window
+        depth = np.zeros((self.camera.height, self.camera.width), np.float32)
+        depth[v0:v1, u0:u1] = add_noise(self.noise, hits.depth, self.camera, np.random.default_rng([self.seed, index, 1]))
+        colour = None
+        if self._painter is not None:
+            colour = self._painter.paint(hits, vertices, self.camera, np.random.default_rng([self.seed, index, 2]))
+        features = self._observe(truth, hits, index)
+        return RgbdFrame(depth, self.camera, colour, index, index / self.fps, features)
+
+    def _activations(self, index: int) -> tuple[np.ndarray, int]:
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        if index < self.neutral_frames:
+            return np.zeros(len(self.performer.expression_names)), -1
+        part, frame = divmod(index - self.neutral_frames, self.frames)
+        return self.script[frame], part
+
+    def _deform(self, index: int) -> np.ndarray:
+        return self.performer.surface(self._activations(index)[0])
+
+    def _features(self, vertices: np.ndarray) -> np.ndarray:
+        model = self.performer.model
+        return surface_points(vertices, model.feature_triangles, model.feature_weights)
+
+    def _gaze(self, activations: np.ndarray) -> np.ndarray:
+        """(2, 3, 3) rotations of the eyeballs, the subject's left one first; 25 degrees at full activation."""
+        level = dict(zip(self.performer.expression_names, activations, strict=True))
+        out = []
+        for side, away in (("Left", 1.0), ("Right", -1.0)):
+            sideways = away * (level.get(f"eyeLookOut{side}", 0) - level.get(f"eyeLookIn{side}", 0))
+            down = level.get(f"eyeLookDown{side}", 0) - level.get(f"eyeLookUp{side}", 0)
+            out.append(rotation_vector_matrix(np.radians(25.0) * np.array([down, sideways, 0.0])))
+        return np.array(out)
+
+    def _observe(self, truth: GroundTruth, hits: Hits, index: int) -> Features2D:
+        """White noise (80 % of the variance) and a slow drift; hidden features are NaN, grazing ones less certain."""
+        white = np.random.default_rng([self.seed, index, 3]).standard_normal((40, 2))
+        pixels = truth.features + self.feature_noise * (np.sqrt(0.8) * white + np.sqrt(0.2) * self._feature_drift(index))
+        u0, v0, u1, v1 = hits.window
+        at = np.round(truth.features).astype(int) - [u0, v0]
+        inside = (at >= 0).all(axis=1) & (at[:, 0] < u1 - u0) & (at[:, 1] < v1 - v0)
+        at = np.where(inside[:, None], at, 0)
+        in_front = hits.depth[at[:, 1], at[:, 0]]
+        behind = self._features(truth.vertices)[:, 2] - in_front
+        hidden = ~inside | ((in_front > 0) & (behind > OCCLUSION))
+        confidence = np.where(hidden, 0.0, np.clip(1.0 - np.maximum(behind - 3.0, 0) / OCCLUSION, 0.2, 1.0))
+        return Features2D(np.where(hidden[:, None], np.nan, pixels), confidence)
+
+
+def _drift(rng: np.random.Generator):
+    """A slowly varying (40, 2) error of unit variance as a function of the frame number."""
+    period, phase = rng.uniform(25, 90, (3, 40, 2)), rng.uniform(0, 2 * np.pi, (3, 40, 2))
+    return lambda frame: np.sqrt(2 / 3) * np.sin(2 * np.pi * frame / period + phase).sum(axis=0)

@@ -1,0 +1,63 @@
+"""Loop subdivision as a sparse matrix: the rendered surface is finer and smoother than the tracking mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..mesh import edges
+
+
+def loop_subdivision(triangles: np.ndarray, n_vertices: int) -> tuple[sp.csr_matrix, np.ndarray]:
+    """One step of Loop subdivision (Loop 1987; boundary rules and vertex weights as in Zorin et al. 2000).
+
+    triangles (T, 3) over V vertices -> matrix (V + E, V), whose first V rows are the smoothed old vertices and the other
+    E rows the edge points, and the (4T, 3) triangles over them.
+    """
+    pairs = edges(triangles)
+    n_edges = len(pairs)
+    corner_edges = np.stack([_edge_numbers(pairs, triangles[:, [k, (k + 1) % 3]], n_vertices) for k in range(3)], axis=1)
+    uses = np.bincount(corner_edges.ravel(), minlength=n_edges)
+    boundary = uses == 1
+    edge_rows = _edge_points(pairs, triangles, corner_edges, boundary, n_vertices)
+    vertex_rows = _vertex_points(pairs, boundary, n_vertices)
+    a, b, c = triangles.T
+    ab, bc, ca = (n_vertices + corner_edges).T
+    fine = np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    return sp.vstack([vertex_rows, edge_rows]).tocsr(), fine.astype(np.int32)
+
+
+def _edge_numbers(pairs: np.ndarray, wanted: np.ndarray, n: int) -> np.ndarray:
+    keys = pairs[:, 0].astype(np.int64) * n + pairs[:, 1]
+    wanted = np.sort(wanted.astype(np.int64), axis=1)
+    return np.searchsorted(keys, wanted[:, 0] * n + wanted[:, 1])
+
+
+def _edge_points(pairs, triangles, corner_edges, boundary, n) -> sp.csr_matrix:
+    """3/8, 3/8 of the ends and 1/8, 1/8 of the opposite vertices; the midpoint on a boundary."""
+    n_edges = len(pairs)
+    end_weight = np.where(boundary, 0.5, 0.375)
+    rows = [np.repeat(np.arange(n_edges), 2)]
+    columns, values = [pairs.ravel()], [np.repeat(end_weight, 2)]
+    for k in range(3):
+        edge, opposite = corner_edges[:, k], triangles[:, (k + 2) % 3]
+        inner = ~boundary[edge]
+        rows.append(edge[inner])
+        columns.append(opposite[inner])
+        values.append(np.full(inner.sum(), 0.125))
+    return sp.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (n_edges, n))
+
+
+def _vertex_points(pairs, boundary, n) -> sp.csr_matrix:
+    """Inner vertices: Loop's valence weights; boundary vertices: 1/8, 3/4, 1/8 along the boundary."""
+    on_boundary = np.zeros(n, bool)
+    on_boundary[pairs[boundary].ravel()] = True
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    along = np.concatenate([boundary, boundary])
+    valence = np.bincount(both[:, 0], minlength=n)
+    beta = (0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / np.maximum(valence, 1))) ** 2) / np.maximum(valence, 1)
+    inner = ~on_boundary[both[:, 0]]
+    keep = inner | along
+    weight = np.where(inner, beta[both[:, 0]], 0.125)[keep]
+    around = sp.csr_matrix((weight, (both[keep, 0], both[keep, 1])), (n, n))
+    return around + sp.diags(1.0 - np.asarray(around.sum(axis=1)).ravel())
