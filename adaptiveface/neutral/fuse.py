@@ -12,7 +12,7 @@ from ..face_model import FaceModel
 from ..frame import Features2D, RgbdFrame
 from ..mesh import surface_points, transform_points
 from ..parameters import FusionParameters
-from .registration import DepthView, Registration, align, depth_view, feature_pose
+from .registration import DepthView, Registration, align, depth_view, evaluate, feature_pose
 from .volume import TsdfVolume
 
 Progress = Callable[[str, float], None]
@@ -160,7 +160,7 @@ def _merged(frames, poses, box, parameters) -> FusedScan:
     if len(points) < 1000:
         raise TrackingError(f"the merged scan holds only {len(points)} points: the depth frames do not show a face")
     sample = slice(None, None, max(1, len(points) // parameters.icp_points))
-    residuals = [align(views[k], points[sample], normals[sample], poses[k], parameters).residual for k in sorted(poses)]
+    residuals = [evaluate(views[k], points[sample], normals[sample], poses[k], parameters).residual for k in views]
     used = np.array(sorted(poses))
     return FusedScan(
         points, normals, weights, used, np.stack([poses[k] for k in used]), np.array(residuals),

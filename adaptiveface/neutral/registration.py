@@ -17,6 +17,8 @@ from ..mesh import rotation_vector_matrix, transform_points
 from ..parameters import FusionParameters
 
 MIN_CORRESPONDENCES = 200
+_HEAD_RADIUS = 100.0  # mm, turns an angle into the motion it makes at the skin
+_CONVERGED = 0.05  # mm; below it the nearest pixels change at random
 _DEPTH_JUMP = 10.0  # mm between neighbouring pixels: an occlusion boundary, where depth and normal are unreliable
 
 
@@ -46,6 +48,19 @@ class Registration:
     residual: float
     overlap: float
     correspondences: int
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Correspondences in the camera frame: model points and normals (n, 3), signed distances (n,) to the depth along the
+    model normal, mm, cosines (n,) of the viewing angle; visible: number of model points turned to the camera.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    distances: np.ndarray
+    cosines: np.ndarray
+    visible: int
 
 
 def depth_view(frame: RgbdFrame, pose: np.ndarray, box: np.ndarray) -> DepthView | None:
@@ -97,64 +112,76 @@ def align(
 ) -> Registration:
     """Register the model surface ``points``, ``normals`` (n, 3) to a depth view, from the starting ``pose``.
 
-    Each iteration pairs every model point turned to the camera with the pixel it projects to, rejects pairs by distance,
-    normal and boundary, and takes one Gauss-Newton step on the robust point-to-plane energy.
+    Each iteration pairs every model point turned to the camera with the pixel it projects to, rejects pairs by
+    distance, normal and boundary, and takes one Gauss-Newton step on the robust point-to-plane energy.
     """
     limit = parameters.prune
-    residual, overlap, count = float("inf"), 0.0, 0
     for _ in range(parameters.iterations):
-        moved, turned, found, distance, weight = correspondences(view, points, normals, pose, limit, parameters)
-        visible = int((turned[:, 2] < 0).sum())
-        count, overlap = len(found), len(found) / max(visible, 1)
-        if count < MIN_CORRESPONDENCES:
-            return Registration(pose, float("inf"), overlap, count)
-        residual = float(np.median(np.abs(distance)))
-        # Outliers beyond three robust standard deviations lose their say as the alignment settles (Tukey 1977).
-        scale = max(3.0 * 1.4826 * residual, 1.0)
-        weight = weight * np.clip(1.0 - (distance / (1.5 * scale)) ** 2, 0.0, None) ** 2
-        step = _point_to_plane_step(moved[found], turned[found], distance, weight)
+        pairs = correspondences(view, points, normals, pose, limit, parameters)
+        if len(pairs.distances) < MIN_CORRESPONDENCES:
+            break
+        scale = max(3.0 * 1.4826 * float(np.median(np.abs(pairs.distances))), 1.0)
+        step, motion = _point_to_plane_step(pairs, scale)
         pose = step @ pose
         limit = float(np.clip(4.0 * scale, 5.0, parameters.prune))
-        if np.abs(step - np.eye(4)).max() < 2e-4:
+        if motion < _CONVERGED:
             break
-    return Registration(pose, residual, overlap, count)
+    return evaluate(view, points, normals, pose, parameters)
 
 
-def correspondences(view: DepthView, points, normals, pose, limit: float, parameters: FusionParameters):
-    """Projective data association of model points (n, 3) with the pixels of a view.
+def evaluate(view: DepthView, points, normals, pose: np.ndarray, parameters: FusionParameters) -> Registration:
+    """How well a pose brings the model surface onto a depth view."""
+    pairs = correspondences(view, points, normals, pose, parameters.prune, parameters)
+    count = len(pairs.distances)
+    overlap = count / max(pairs.visible, 1)
+    if count < MIN_CORRESPONDENCES:
+        return Registration(pose, float("inf"), overlap, count)
+    return Registration(pose, float(np.median(np.abs(pairs.distances))), overlap, count)
 
-    Returns the moved points and normals (n, 3), the numbers of those that found a partner, their signed distances to
-    the partner along the normal (mm) and their weights (the cosine of the viewing angle: grazing depth is noisy).
+
+def correspondences(view: DepthView, points, normals, pose, limit: float, parameters: FusionParameters) -> Pairs:
+    """Projective data association of model points, normals (n, 3) with the pixels of a view.
+
+    Rejected: partners farther than ``limit`` mm, invalid or boundary pixels, and normals that disagree.
     """
-    moved, turned = transform_points(pose, points), normals @ pose[:3, :3].T
-    pixels = np.rint(view.camera.project(moved)).astype(int)
-    cosine = -(moved * turned).sum(axis=1) / np.linalg.norm(moved, axis=1)
-    inside = (pixels >= 0).all(axis=1) & (pixels < [view.camera.width, view.camera.height]).all(axis=1)
-    found = np.flatnonzero(inside & (cosine > parameters.min_cosine))
-    column, row = pixels[found].T
-    partner, partner_normal = view.points[row, column], view.normals[row, column]
-    offset = moved[found] - partner
-    agree = (partner_normal * turned[found]).sum(axis=1) > np.cos(np.radians(parameters.normal_angle))
-    keep = view.valid[row, column] & agree & ((offset**2).sum(axis=1) < limit**2)
-    found = found[keep]
-    return moved, turned, found, (offset[keep] * turned[found]).sum(axis=1), cosine[found]
+    turned = normals @ pose[:3, :3].T
+    moved = transform_points(pose, points)
+    cosine = -_dot(moved, turned) / np.sqrt(_dot(moved, moved))
+    facing = np.flatnonzero(cosine > parameters.min_cosine)
+    moved, turned, cosine = moved[facing], turned[facing], cosine[facing]
+    column, row = np.rint(view.camera.project(moved)).astype(int).T
+    inside = (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
+    inside[inside] = view.valid[row[inside], column[inside]]
+    moved, turned, row, column = moved[inside], turned[inside], row[inside], column[inside]
+    offset = moved - view.points[row, column]
+    agree = _dot(view.normals[row, column], turned) > np.cos(np.radians(parameters.normal_angle))
+    keep = agree & (_dot(offset, offset) < limit**2)
+    return Pairs(moved[keep], turned[keep], _dot(offset[keep], turned[keep]), cosine[inside][keep], len(facing))
 
 
-def _point_to_plane_step(points, normals, distance, weight) -> np.ndarray:
-    """(4, 4) small motion that minimises sum w (n . (omega x p + t) + d)^2 (Chen & Medioni 1992), about the centroid."""
-    centre = points.mean(axis=0)
-    rows = np.concatenate([np.cross(points - centre, normals), normals], axis=1)
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("nd,nd->n", a, b)
+
+
+def _point_to_plane_step(pairs: Pairs, scale: float) -> tuple[np.ndarray, float]:
+    """(4, 4) small motion that minimises sum w (n . (omega x p + t) + d)^2 (Chen & Medioni 1992), and its size in mm.
+
+    w: the cosine of the viewing angle (grazing depth is noisy) times Tukey's weight for distances beyond ``scale``.
+    """
+    weight = pairs.cosines * np.clip(1.0 - (pairs.distances / (1.5 * scale)) ** 2, 0.0, None) ** 2
+    centre = pairs.points.mean(axis=0)
+    rows = np.concatenate([np.cross(pairs.points - centre, pairs.normals), pairs.normals], axis=1)
     lhs = rows.T @ (rows * weight[:, None])
     lhs[np.diag_indices(6)] += 1e-9 * np.trace(lhs)
-    solution = np.linalg.solve(lhs, -rows.T @ (weight * distance))
+    solution = np.linalg.solve(lhs, -rows.T @ (weight * pairs.distances))
     step = np.eye(4)
     step[:3, :3] = rotation_vector_matrix(solution[:3])
     step[:3, 3] = centre + solution[3:] - step[:3, :3] @ centre
-    return step
+    return step, float(_HEAD_RADIUS * np.linalg.norm(solution[:3]) + np.linalg.norm(solution[3:]))
 
 
 def feature_pose(frame: RgbdFrame, feature_points: np.ndarray, features: Features2D | None = None) -> np.ndarray | None:
-    """(4, 4) pose of a head whose features sit at ``feature_points`` (40, 3), from one frame's 2D features; None if unseen.
+    """(4, 4) pose of a head with its features at ``feature_points`` (40, 3) from a frame's 2D features; None if unseen.
 
     Perspective-n-point gives the rotation; measured depth then fixes the distance, which the unknown size of the head
     leaves open.
