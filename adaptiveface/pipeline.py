@@ -1,0 +1,176 @@
+"""The run loop: frames from a source, features from the source or the detector, one tracked result per frame.
+
+This is where sensors, detector, capture and tracking meet; none of them knows the others. Broken frames are skipped and
+counted, they never reach the tracker.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
+
+from .actor import Actor
+from .errors import FrameError, TrackingError
+from .export.result import Result, ResultBuilder
+from .face_model import FaceModel
+from .frame import RgbdFrame
+from .landmarks import FeatureDetector
+from .neutral.capture import capture_actor
+from .parameters import Parameters
+from .sensors import FrameSource
+from .tracking.tracker import FaceTracker
+from .tracking.types import TrackedFrame
+
+#: A face counts as found in a frame from this many valid features on.
+MIN_FEATURES = 6
+#: A neutral scan takes at most this many frames, spread evenly over the source: more take memory and bring little.
+MAX_NEUTRAL_FRAMES = 150
+
+OnFrame = Callable[[TrackedFrame, RgbdFrame], None]
+
+
+class TrackingInterrupted(KeyboardInterrupt):
+    """Ctrl-C during :func:`track_source`; ``result`` holds the frames tracked until then."""
+
+    def __init__(self, result: Result) -> None:
+        super().__init__(f"interrupted after {len(result)} frames")
+        self.result = result
+
+
+class FrameReader:
+    """Reads the frames of a source with their 2D features, and keeps count of the broken ones.
+
+    ``detector`` is made on first need when None. ``skipped``: index -> reason of every frame that could not be used.
+    """
+
+    def __init__(self, source: FrameSource, detector: FeatureDetector | None = None) -> None:
+        self.source, self.detector = source, detector
+        self.skipped: dict[int, str] = {}
+
+    def read(self, index: int) -> RgbdFrame | None:
+        """Frame ``index`` with features where a face is seen; None (and an entry in ``skipped``) for a broken frame."""
+        try:
+            frame = self.source.read(index)
+        except FrameError as error:
+            self.skipped[index] = str(error)
+            return None
+        if frame.features is not None or getattr(self.source, "has_features", False):
+            return frame
+        if frame.colour is None:
+            raise TrackingError(f"{self.source.name}: neither colour images nor features.csv, so no face can be found")
+        if self.detector is None:
+            self.detector = FeatureDetector()
+        return dataclasses.replace(frame, features=self.detector.detect(frame))
+
+    def timestamp(self, index: int) -> float:
+        """Seconds at which frame ``index`` was due, for one that cannot be read."""
+        timestamps = getattr(self.source, "timestamps", None)
+        return float(timestamps[index]) if timestamps is not None else index / getattr(self.source, "fps", 30.0)
+
+    def fail(self, message: str) -> TrackingError:
+        """An error that says ``message`` and, where frames were skipped, how many and the first reason."""
+        if self.skipped:
+            message += f"; {len(self.skipped)} broken frames, the first: {next(iter(self.skipped.values()))}"
+        return TrackingError(f"{self.source.name}: {message}")
+
+
+def face_found(frame: RgbdFrame) -> bool:
+    """Whether enough 2D features are seen to say that there is a face."""
+    return frame.features is not None and int(frame.features.valid.sum()) >= MIN_FEATURES
+
+
+def capture_from(
+    source: FrameSource,
+    parameters: Parameters | None = None,
+    neutral_frames: int | None = None,
+    detector: FeatureDetector | None = None,
+    progress: bool = False,
+    model: FaceModel | None = None,
+) -> Actor:
+    """Capture the neutral face shown by ``source`` (paper, section 3).
+
+    ``neutral_frames``: the leading frames in which a face is found; None: all frames, at most ``MAX_NEUTRAL_FRAMES`` of
+    them, spread evenly. ``model``: the embedded one by default. ``progress`` shows bars on stderr. Raises
+    :class:`TrackingError` when no face is found.
+    """
+    reader = FrameReader(source, detector)
+    frames = []
+    stride = 1 if neutral_frames else max(1, math.ceil(len(source) / MAX_NEUTRAL_FRAMES))
+    with tqdm(total=neutral_frames, desc="reading the neutral", unit="frame", disable=not progress, leave=False) as bar:
+        for index in range(0, len(source), stride):
+            frame = reader.read(index)
+            if frame is not None and (neutral_frames is None or face_found(frame)):
+                frames.append(frame)
+                bar.update()
+            if len(frames) == neutral_frames:
+                break
+    if not frames and len(reader.skipped) == len(range(0, len(source), stride)):
+        raise reader.fail("no frame can be used")
+    if not any(map(face_found, frames)):
+        raise reader.fail(f"no face found in any of {len(source)} frames")
+    with one_blas_thread(), _capture_bar(progress) as report:
+        return capture_actor(frames, model, parameters or Parameters(), report)
+
+
+def track_source(
+    source: FrameSource,
+    actor: Actor,
+    parameters: Parameters | None = None,
+    progress: bool = False,
+    keep_stages: bool = False,
+    on_frame: OnFrame | None = None,
+    detector: FeatureDetector | None = None,
+) -> Result:
+    """Track every frame of ``source`` with the rig ``actor`` (paper, sections 4 to 6).
+
+    ``keep_stages`` keeps v1, v2, v3 besides the final mesh; ``on_frame(tracked, frame)`` sees every frame once it is
+    done; ``progress`` shows a bar on stderr. Broken frames are skipped and counted (``Result.skipped``, with
+    ``Result.reasons``). Raises :class:`TrackingError` when no frame can be used or the face is never found,
+    :class:`TrackingInterrupted` (with the result so far) on Ctrl-C.
+    """
+    parameters = parameters or Parameters()
+    reader, tracker = FrameReader(source, detector), FaceTracker(actor, parameters)
+    builder = ResultBuilder(actor, parameters, len(source), keep_stages)
+    try:
+        with one_blas_thread():
+            for index in tqdm(range(len(source)), desc="tracking", unit="frame", disable=not progress):
+                frame = reader.read(index)
+                if frame is None:
+                    builder.skip(reader.timestamp(index), reader.skipped[index])
+                    continue
+                tracked = tracker.track(frame)
+                builder.add(tracked)
+                if on_frame is not None:
+                    on_frame(tracked, frame)
+    except KeyboardInterrupt:
+        raise TrackingInterrupted(builder.finish()) from None
+    if len(reader.skipped) == len(source):
+        raise reader.fail("no frame can be used")
+    result = builder.finish()
+    if not result.tracked.any():
+        raise reader.fail(f"the face was found in none of {len(source)} frames")
+    return result
+
+
+def one_blas_thread():
+    """Context in which BLAS runs on one thread: on shared cores a second one stalls small solves for up to 100 ms."""
+    return threadpool_limits(limits=1, user_api="blas")
+
+
+@contextmanager
+def _capture_bar(progress: bool) -> Iterator[Callable[[str, float], None]]:
+    """A bar for ``capture_actor``: one round of 100 % per step."""
+    with tqdm(total=100, unit="%", disable=not progress, leave=False) as bar:
+
+        def report(step: str, share: float) -> None:
+            bar.set_description(step.replace("_", " "), refresh=False)
+            bar.n = int(np.clip(round(100 * share), 0, 100))
+            bar.refresh()
+
+        yield report
