@@ -102,7 +102,7 @@ def capture_from(
     reader = FrameReader(source, detector)
     frames = []
     stride = 1 if neutral_frames else max(1, math.ceil(len(source) / MAX_NEUTRAL_FRAMES))
-    with tqdm(total=neutral_frames, desc="reading the neutral", unit="frame", disable=not progress, leave=False) as bar:
+    with _bar(progress, total=neutral_frames, desc="reading the neutral", unit="frame", leave=False) as bar:
         for index in range(0, len(source), stride):
             frame = reader.read(index)
             if frame is not None and (neutral_frames is None or face_found(frame)):
@@ -138,8 +138,9 @@ def track_source(
     reader, tracker = FrameReader(source, detector), FaceTracker(actor, parameters)
     builder = ResultBuilder(actor, parameters, len(source), keep_stages)
     try:
-        with one_blas_thread():
-            for index in tqdm(range(len(source)), desc="tracking", unit="frame", disable=not progress):
+        with one_blas_thread(), _bar(progress, total=len(source), desc="tracking", unit="frame") as bar:
+            for index in range(len(source)):
+                bar.update()
                 frame = reader.read(index)
                 if frame is None:
                     builder.skip(reader.timestamp(index), reader.skipped[index])
@@ -149,10 +150,10 @@ def track_source(
                 if on_frame is not None:
                     on_frame(tracked, frame)
     except KeyboardInterrupt:
-        raise TrackingInterrupted(builder.finish()) from None
+        raise TrackingInterrupted(builder.finish(tracker.model.correctives)) from None
     if len(reader.skipped) == len(source):
         raise reader.fail("no frame can be used")
-    result = builder.finish()
+    result = builder.finish(tracker.model.correctives)
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")
     return result
@@ -163,10 +164,15 @@ def one_blas_thread():
     return threadpool_limits(limits=1, user_api="blas")
 
 
+def _bar(progress: bool, **options) -> tqdm:
+    """A progress bar on stderr where that is a terminal; log files stay readable."""
+    return tqdm(disable=None if progress else True, **options)
+
+
 @contextmanager
 def _capture_bar(progress: bool) -> Iterator[Callable[[str, float], None]]:
     """A bar for ``capture_actor``: one round of 100 % per step."""
-    with tqdm(total=100, unit="%", disable=not progress, leave=False) as bar:
+    with _bar(progress, total=100, unit="%", leave=False) as bar:
 
         def report(step: str, share: float) -> None:
             bar.set_description(step.replace("_", " "), refresh=False)

@@ -39,6 +39,7 @@ _FIELDS = {
     "stage_ms": Field(("F", "S")),
     "stage_names": Field(("S",), "U"),
     "parameters": Field((), "U"),
+    "correctives": Field(("K", "N", 3), optional=True),
 }
 
 
@@ -55,7 +56,8 @@ class Result:
     tracked (F,) bool: the face was tracked; skipped (F,) bool: the frame was broken and never reached the tracker;
     reasons (F,): why a frame is not tracked, "" where it is. A frame that is not tracked repeats mesh, pose and
     coefficients of the last tracked one (before the first one: of the first one; without any: the neutral, unmoved),
-    has sample state UNTRACKED, and 0 for its distances.
+    has sample state UNTRACKED, and 0 for its distances. correctives (K, N, 3) or None: the corrective shapes as learned
+    at the end, orthonormal, zero outside the frontal region.
     """
 
     vertices: np.ndarray
@@ -82,9 +84,28 @@ class Result:
     v1: np.ndarray | None = None
     v2: np.ndarray | None = None
     v3: np.ndarray | None = None
+    correctives: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.vertices)
+
+    def summary(self) -> str:
+        """A few lines for people: how many frames were tracked and learned from, and the median time of each stage."""
+        lost = int((~self.tracked & ~self.skipped).sum())
+        learned = int((self.sample_state == SampleState.LEARNED).sum())
+        lines = [
+            f"{len(self)} frames: {int(self.tracked.sum())} tracked, {lost} without a face, {int(self.skipped.sum())} "
+            f"broken and skipped; learned from {learned}"
+        ]
+        broken = [reason for reason, skipped in zip(self.reasons, self.skipped, strict=True) if skipped]
+        lines += [f"  skipped: {reason}" for reason in broken[:5]]
+        lines += [f"  ... and {len(broken) - 5} more"] if len(broken) > 5 else []
+        if self.tracked.any():
+            median = np.median(self.stage_ms[self.tracked], axis=0)
+            total = np.median(self.stage_ms[self.tracked].sum(axis=1))
+            stages = ", ".join(f"{name} {ms:.1f}" for name, ms in zip(self.stage_names, median, strict=True))
+            lines.append(f"median ms per frame: {total:.1f} ({stages})")
+        return "\n".join(lines)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write ``result.npz`` (uncompressed: coordinates hardly shrink), whole or not at all."""
@@ -170,8 +191,11 @@ class ResultBuilder:
         self._reasons.append(reason)
         self.done += 1
 
-    def finish(self) -> Result:
-        """The frames so far; those that are not tracked repeat the last tracked one."""
+    def finish(self, correctives: np.ndarray | None = None) -> Result:
+        """The frames so far; those that are not tracked repeat the last tracked one.
+
+        ``correctives`` (3n, K): the corrective shapes over the n frontal vertices, as the tracker keeps them.
+        """
         rows = {name: array[: self.done] for name, array in self._rows.items()}
         self._fill_gaps(rows)
         actor = self.actor
@@ -184,8 +208,14 @@ class ResultBuilder:
             reasons=tuple(self._reasons[: self.done]),
             stage_names=STAGE_NAMES,
             parameters=self.parameters.to_json(),
+            correctives=None if correctives is None else self._on_whole_mesh(correctives),
             **rows,
         )
+
+    def _on_whole_mesh(self, correctives: np.ndarray) -> np.ndarray:
+        shapes = np.zeros((correctives.shape[1], len(self.actor.neutral), 3), np.float32)
+        shapes[:, self.actor.frontal] = correctives.T.reshape(len(shapes), -1, 3)
+        return shapes
 
     def _fill_gaps(self, rows: dict[str, np.ndarray]) -> None:
         meshes = ("vertices", *self._stages)

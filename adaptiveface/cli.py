@@ -1,0 +1,199 @@
+"""The command line: ``adaptiveface demo | capture | track | bench``.
+
+Thin: every command is a few calls of the package. Anything the user can act on ends as one line on stderr and exit
+status 2; Ctrl-C ends with 130 after saving what was done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from . import __version__
+from .errors import AdaptiveFaceError, ParameterError
+
+EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command of ``argv`` (default: the process's arguments) and return the exit status."""
+    args = _parser().parse_args(argv)
+    try:
+        return args.run(args)
+    except AdaptiveFaceError as error:
+        return _fail(str(error))
+    except (OSError, MemoryError) as error:
+        return _fail(str(error) or "out of memory")
+    except KeyboardInterrupt:
+        print("adaptiveface: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _fail(message: str) -> int:
+    print(f"adaptiveface: error: {' '.join(message.split())}", file=sys.stderr)
+    return EXIT_ERROR
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a bad command line in one line, without the usage text."""
+
+    def error(self, message: str) -> None:
+        self.exit(_fail(f"{message} (see {self.prog} --help)"))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="adaptiveface", description="Facial performance capture with on-the-fly correctives.")
+    parser.add_argument("--version", action="version", version=f"adaptiveface {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    demo = commands.add_parser("demo", help="no hardware, no network: synthetic sensor, whole pipeline, report")
+    demo.add_argument("--out", type=Path, default=Path("adaptiveface-demo"), metavar="DIR", help="default: %(default)s")
+    demo.add_argument("--seed", type=_whole(0, 10**9), default=0, help="which performer (default: %(default)s)")
+    demo.add_argument("--noise", default="structured-light", help="structured-light, truedepth or none")
+    demo.add_argument("--frames", type=_whole(2, 10_000), default=120, help="frames of one of the two performances")
+    _add_settings(demo)
+    demo.set_defaults(run=run_demo)
+
+    capture = commands.add_parser("capture", help="neutral scan -> personal model")
+    _add_source(capture)
+    capture.add_argument("--out", type=Path, required=True, metavar="actor.npz")
+    capture.add_argument("--neutral-frames", type=_whole(1, 99_999), metavar="N", help="only the leading N with a face")
+    _add_settings(capture)
+    capture.set_defaults(run=run_capture)
+
+    track = commands.add_parser("track", help="track every frame of a recording")
+    _add_source(track)
+    track.add_argument("--out", type=Path, required=True, metavar="result.npz")
+    track.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
+    track.add_argument("--neutral-frames", type=_whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
+    track.add_argument("--keep-stages", action="store_true", help="also store v1, v2 and v3")
+    track.add_argument("--report", type=Path, metavar="DIR", help="write report.html there")
+    _add_settings(track)
+    track.set_defaults(run=run_track)
+
+    bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
+    bench.set_defaults(run=run_bench)
+    return parser
+
+
+def _add_source(command: argparse.ArgumentParser) -> None:
+    command.add_argument("source", metavar="SOURCE", help="a recording folder, or synthetic[:SEED[:NOISE]]")
+
+
+def _add_settings(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="stage.name=value", help="e.g. laplacian.w1=0.2"
+    )
+
+
+def _whole(low: int, high: int):
+    def whole_number(text: str) -> int:
+        if not (text.isascii() and text.isdecimal() and low <= int(text[:12]) <= high and len(text) <= 12):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number between {low} and {high}")
+        return int(text)
+
+    return whole_number
+
+
+def _parameters(settings: list[str]):
+    from .parameters import Parameters
+
+    values = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals or "." not in name:
+            raise ParameterError(f"--set {setting}: stage.name=value is expected, e.g. laplacian.w1=0.2")
+        values[name] = value
+    return Parameters().set(**values)
+
+
+def _check_output(path: Path, suffix: str = ".npz") -> None:
+    """Refuse an output path that cannot be written before an hour of work, not after it."""
+    if path.suffix != suffix:
+        raise AdaptiveFaceError(f"{path}: the output's name must end in {suffix}")
+    if path.is_dir():
+        raise AdaptiveFaceError(f"{path}: is a folder, the name of a file is expected")
+    if not path.resolve().parent.is_dir():
+        raise AdaptiveFaceError(f"{path}: the folder {path.resolve().parent} does not exist")
+
+
+def run_capture(args: argparse.Namespace) -> int:
+    """``capture SOURCE --out actor.npz``."""
+    parameters = _parameters(args.set)
+    _check_output(args.out)
+    from .pipeline import capture_from
+    from .sensors import open_source
+
+    actor = capture_from(open_source(args.source), parameters, args.neutral_frames, progress=True)
+    actor.save(args.out)
+    print(f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, "
+          f"{len(actor.scan_points)} scan points")  # fmt: skip
+    return 0
+
+
+def run_track(args: argparse.Namespace) -> int:
+    """``track SOURCE --out result.npz``."""
+    parameters = _parameters(args.set)
+    _check_output(args.out)
+    from .actor import Actor
+    from .pipeline import TrackingInterrupted, capture_from, track_source
+    from .sensors import open_source
+
+    actor = Actor.load(args.actor) if args.actor else None
+    source = open_source(args.source)
+    if actor is None:
+        actor = capture_from(source, parameters, args.neutral_frames, progress=True)
+    try:
+        result = track_source(source, actor, parameters, progress=True, keep_stages=args.keep_stages)
+    except TrackingInterrupted as interruption:
+        interruption.result.save(args.out)
+        print(f"{args.out}: {len(interruption.result)} frames until the interruption")
+        raise
+    result.save(args.out)
+    print(result.summary())
+    if args.report:
+        _report(result, source, actor, args.report)
+    return 0
+
+
+def run_demo(args: argparse.Namespace) -> int:
+    """``demo``: capture, track and score a synthetic performer, and write actor, result and report to a folder."""
+    start = time.perf_counter()
+    parameters = _parameters(args.set)
+    from .evaluation import ErrorCollector
+    from .pipeline import capture_from, track_source
+    from .synthetic.sensor import SyntheticSensor
+
+    sensor = SyntheticSensor(args.seed, args.noise, frames=args.frames)
+    args.out.mkdir(parents=True, exist_ok=True)
+    actor = capture_from(sensor, parameters, sensor.neutral_frames, progress=True)
+    actor.save(args.out / "actor.npz")
+    collector = ErrorCollector(sensor, actor)
+    result = track_source(sensor, actor, parameters, progress=True, on_frame=lambda tracked, _: collector.add(tracked))
+    result.save(args.out / "result.npz")
+    evaluation = collector.finish()
+    print(result.summary())
+    print(evaluation.table())
+    _report(result, sensor, actor, args.out, evaluation)
+    print(f"done in {time.perf_counter() - start:.0f} s")
+    return 0
+
+
+def run_bench(args: argparse.Namespace) -> int:
+    """``bench``."""
+    from .bench import run_bench as run
+
+    return run(args)
+
+
+def _report(result, source, actor, folder: Path, evaluation=None) -> None:
+    from .report import write_report
+
+    truth = source if hasattr(source, "ground_truth") else None
+    recorded = getattr(source, "path", Path("/nowhere")) / "ground_truth.npz"
+    if truth is None and recorded.is_file():
+        truth = recorded
+    path = write_report(result, source, actor, folder, truth, evaluation=evaluation, correctives=result.correctives)
+    print(f"report: {path}")
