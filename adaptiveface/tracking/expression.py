@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from ..actor import Actor
@@ -14,7 +15,7 @@ from ..parameters import BlendshapeParameters
 from .bounded import bounded_least_squares
 from .depth_surface import DepthSurface, find_correspondences
 from .feature_rows import feature_rows
-from .rigid import apply_rigid_update, rigid_jacobian
+from .rigid import apply_rigid_update
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,26 @@ def add_rows(equations: NormalEquations, jacobian: np.ndarray, residual: np.ndar
     weighted = jacobian * weights[:, None]
     equations.h[...] += weighted.T @ jacobian
     equations.g[...] += weighted.T @ (jacobian @ current - residual)
+
+
+@numba.njit(cache=True)
+def _depth_jacobian(points, normals, turned, weights, basis, centre):
+    """(m, 6 + A) rows of the matched points: (v - c) x n, n, and the turned normal times the blendshapes (eq. 1)."""
+    count, a = 0, basis.shape[2]
+    for i in range(len(points)):
+        count += weights[i] > 0.0
+    jacobian, row = np.empty((count, 6 + a)), 0
+    for i in range(len(points)):
+        if weights[i] == 0.0:
+            continue
+        x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+        n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+        jacobian[row, 0], jacobian[row, 1], jacobian[row, 2] = y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0
+        jacobian[row, 3], jacobian[row, 4], jacobian[row, 5] = n0, n1, n2
+        for k in range(a):
+            jacobian[row, 6 + k] = turned[i, 0] * basis[i, 0, k] + turned[i, 1] * basis[i, 1, k] + turned[i, 2] * basis[i, 2, k]
+        row += 1
+    return jacobian
 
 
 class BlendshapeFit:
@@ -49,6 +70,7 @@ class BlendshapeFit:
         self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)
         self._b0 = np.ascontiguousarray(self.neutral[self.depth_vertices])
         self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0))
+        self._b_flat = self._b.reshape(-1, count)
         corners = actor.feature_triangles
         self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[corners])
         self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, corners])
@@ -82,14 +104,11 @@ class BlendshapeFit:
         p, count = self.parameters, len(x)
         equations = NormalEquations(np.zeros((6 + count, 6 + count)), np.zeros(6 + count))
         current = np.concatenate([np.zeros(6), x])
-        points = transform_points(pose, self._b0 + self._b @ x)
+        points = transform_points(pose, self._b0 + (self._b_flat @ x).reshape(-1, 3))
         centre = points.mean(axis=0)
         matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, p.prune)
-        matched = np.flatnonzero(matches.weights)
-        plane = matches.normals[matched]
-        jacobian = np.empty((len(matched), 6 + count))
-        jacobian[:, :6] = rigid_jacobian(points[matched], plane, centre)
-        jacobian[:, 6:] = np.einsum("nd,nda->na", plane @ pose[:3, :3], self._b[matched])
+        matched = matches.weights > 0
+        jacobian = _depth_jacobian(points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre)
         distances = matches.distances[matched]
         weights = matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
         add_rows(equations, jacobian, distances, weights, current)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import splu
 
 from ..mesh import cotangent_laplacian
@@ -77,34 +78,42 @@ def feature_term(rows: FeatureRows, points: np.ndarray, pose: np.ndarray, focal:
 class LaplacianDeformation:
     """Deforms the frontal region towards depth and 2D features, or features only (``w1 = 0``).
 
-    ``barycentric`` (40, n) sparse: the features' points as combinations of frontal vertices.
+    The features' points are combinations of frontal vertices: ``corners`` (40, 3) and ``shares`` (40, 3).
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, frontal: np.ndarray, feature_triangles: np.ndarray,
                  feature_weights: np.ndarray, w1: float, w2: float) -> None:
         self.w1 = w1
         self.system = PrefactoredSystem(vertices, triangles, frontal, w1, w2)
-        index = np.cumsum(frontal) - 1
-        inside = frontal[feature_triangles]
-        entries = (feature_weights[inside], (np.nonzero(inside)[0], index[feature_triangles[inside]]))
-        self.barycentric = sp.csr_matrix(entries, (len(feature_triangles), int(frontal.sum())))
+        # A corner outside the frontal region does not move: its share of the feature is dropped.
+        self.corners = (np.cumsum(frontal) - 1)[feature_triangles]
+        self.shares = np.where(frontal[feature_triangles], feature_weights, 0.0)
+        unit_forces = np.zeros((int(frontal.sum()), len(self.corners)))
+        np.add.at(unit_forces, (self.corners, np.arange(len(self.corners))[:, None]), self.shares)
         #: Response of every vertex to a unit force at a feature, A0^-1 E^T (n, 40), and its value at the features.
-        self._response = self.system.solve(self.barycentric.T.toarray())
-        self._compliance = self.barycentric @ self._response
+        self._response = self.system.solve(unit_forces)
+        self._compliance = np.einsum("fk,fkg->fg", self.shares, self._response[self.corners])
+
+    def _at_features(self, field: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """A field (n, 3) at the features' points: (f, 3)."""
+        return np.einsum("fk,fkd->fd", self.shares[index], field[self.corners[index]])
 
     def _feature_correction(self, term: FeatureTerm):
         """The Woodbury system of the features' rows: (A0 + H^T W H)^-1 = A0^-1 - A0^-1 H^T (W^-1 + H A0^-1 H^T)^-1 H A0^-1."""
         count = term.rows.shape[1]
         index, rows = np.repeat(term.index, count), term.rows.reshape(-1, 3)
         matrix = self._compliance[np.ix_(index, index)] * (rows @ rows.T)
+        if len(rows) == 0:
+            return index, rows, None
         matrix[np.diag_indices_from(matrix)] += 1.0 / np.maximum(term.weights.ravel(), 1e-12)
-        return index, rows, matrix
+        return index, rows, cho_factor(matrix, overwrite_a=True, check_finite=False)
 
     def deform_to_features(self, term: FeatureTerm) -> np.ndarray:
         """Exact minimum with w1 = 0: (n, 3); needs no sparse solve at all, only the features' responses."""
-        index, rows, matrix = self._feature_correction(term)
-        forces = np.linalg.solve(matrix, term.targets.ravel())
-        return self._spread(index, rows * forces[:, None])
+        index, rows, factor = self._feature_correction(term)
+        if len(rows) == 0:
+            return np.zeros((len(self._response), 3))
+        return self._spread(index, rows * cho_solve(factor, term.targets.ravel(), check_finite=False)[:, None])
 
     def _spread(self, index: np.ndarray, forces: np.ndarray) -> np.ndarray:
         at_features = np.zeros((self._response.shape[1], 3))
@@ -118,9 +127,9 @@ class LaplacianDeformation:
         """
         strength = self.w1 * matches.weights
         correction = self._feature_correction(term)
-        right = -(strength * matches.distances)[:, None] * normals + self._pull(term, term.targets)
         displacement = start.copy()
-        residual = right - self._apply(displacement, strength, normals, term)
+        residual = -(strength * matches.distances)[:, None] * normals - self._apply(displacement, strength, normals, term)
+        self._add_pull(residual, term, term.targets)
         direction, previous = np.zeros_like(residual), 1.0
         for step in range(steps):
             preconditioned = self._precondition(residual, correction)
@@ -135,22 +144,22 @@ class LaplacianDeformation:
             previous = slope
         return displacement
 
-    def _pull(self, term: FeatureTerm, values: np.ndarray) -> np.ndarray:
-        """H^T W values, (n, 3)."""
+    def _add_pull(self, field: np.ndarray, term: FeatureTerm, values: np.ndarray) -> None:
+        """field += H^T W values, in place."""
         forces = np.einsum("fr,frd->fd", term.weights * values, term.rows)
-        return self.barycentric[term.index].T @ forces
+        np.add.at(field, self.corners[term.index], self.shares[term.index][:, :, None] * forces[:, None, :])
 
     def _apply(self, d: np.ndarray, strength: np.ndarray, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """The true system's matrix times a displacement (n, 3)."""
-        along = strength * (normals * d).sum(axis=1)
-        at_features = self.barycentric[term.index] @ d
-        values = np.einsum("frd,fd->fr", term.rows, at_features)
-        return self.system.smoothing @ d + along[:, None] * normals + self._pull(term, values)
+        along = strength * np.einsum("nd,nd->n", normals, d)
+        image = self.system.smoothing @ d + along[:, None] * normals
+        self._add_pull(image, term, np.einsum("frd,fd->fr", term.rows, self._at_features(d, term.index)))
+        return image
 
     def _precondition(self, right: np.ndarray, correction) -> np.ndarray:
-        index, rows, matrix = correction
+        index, rows, factor = correction
         solved = self.system.solve(right)
         if len(rows) == 0:
             return solved
-        at_rows = (rows * (self.barycentric @ solved)[index]).sum(axis=1)
-        return solved - self._spread(index, rows * np.linalg.solve(matrix, at_rows)[:, None])
+        at_rows = (rows * self._at_features(solved, index)).sum(axis=1)
+        return solved - self._spread(index, rows * cho_solve(factor, at_rows, check_finite=False)[:, None])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from ..mesh import rotation_vector_matrix, transform_points
@@ -34,14 +35,37 @@ def apply_rigid_update(pose: np.ndarray, update: np.ndarray, centre: np.ndarray)
     return moved
 
 
+@numba.njit(cache=True)
+def _point_to_plane_equations(points, normals, distances, weights, centre):
+    """Normal equations of :func:`rigid_jacobian` without storing it (tested equal to the NumPy form)."""
+    h, g, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    for i in range(len(points)):
+        if weights[i] == 0.0:
+            continue
+        x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
+        row[0], row[1], row[2] = y * c - z * b, z * a - x * c, x * b - y * a
+        row[3], row[4], row[5] = a, b, c
+        for j in range(6):
+            weighted = weights[i] * row[j]
+            g[j] -= weighted * distances[i]
+            for k in range(j, 6):
+                h[j, k] += weighted * row[k]
+    for j in range(6):
+        for k in range(j):
+            h[j, k] = h[k, j]
+    return h, g
+
+
 def point_to_plane_step(points: np.ndarray, correspondences: Correspondences, centre: np.ndarray,
                         vertex_weights: np.ndarray) -> np.ndarray:
-    """(6,) rotation and translation that minimise sum w_i (n_i^T (v_i - p_i))^2, linearised (Chen & Medioni 1991)."""
+    """(6,) rotation and translation that minimise sum w_i (n_i^T (v_i - p_i))^2, linearised (Chen & Medioni 1991).
+
+    With J of :func:`rigid_jacobian` and W the product of match and vertex weights: (J^T W J) step = -J^T W distances.
+    """
     weights = correspondences.weights * vertex_weights
-    jacobian = rigid_jacobian(points, correspondences.normals, centre)
-    weighted = jacobian * weights[:, None]
-    scale = np.trace(weighted.T @ jacobian) * 1e-9
-    return np.linalg.solve(weighted.T @ jacobian + scale * np.eye(6), -weighted.T @ correspondences.distances)
+    h, g = _point_to_plane_equations(points, correspondences.normals, correspondences.distances, weights, centre)
+    return np.linalg.solve(h + np.trace(h) * 1e-12 * np.eye(6), g)
 
 
 class RigidTracker:

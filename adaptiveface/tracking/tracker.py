@@ -56,6 +56,7 @@ class FaceTracker:
         """Forget where the head was; the next frame is searched by its 2D features."""
         self.pose: np.ndarray | None = None
         self._x = np.zeros_like(self._x)
+        self._v1 = self.actor.neutral
         self._deformation = np.zeros((len(self._frontal), 3))
         self.kalman.reset()
 
@@ -86,7 +87,7 @@ class FaceTracker:
         with _timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
 
-        self.pose, self._x, self._deformation = pose, x, deformation
+        self.pose, self._x, self._v1, self._deformation = pose, x, v1, deformation
         anchor, adaptive = self.model.distances(self._displacement(v4))
         return TrackedFrame(frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, state,
                             self.model.updates, rigid.residual, anchor, adaptive, ms)
@@ -102,7 +103,7 @@ class FaceTracker:
             if surface is None:
                 continue
             with _timed(ms, "rigid"):
-                shape = self.blendshapes.shape(self._x)[self.blendshapes.depth_vertices]
+                shape = self._v1[self.blendshapes.depth_vertices]
                 fit = self.rigid.align(surface, shape, normals[self._may_match], start)
             if fit.residual < self.parameters.rigid.lost:
                 if self._agrees(frame, fit.pose):
@@ -131,8 +132,8 @@ class FaceTracker:
 
     # ---- sections 4.3, 4.4 and 5 -----------------------------------------------------------------------------------
     def _normals(self) -> np.ndarray:
-        """(n, 3) head-frame normals of the frontal vertices at the last coefficients."""
-        return vertex_normals(self.blendshapes.shape(self._x)[self._frontal], self._frontal_triangles)
+        """(n, 3) head-frame normals of the frontal vertices of the last frame's v1."""
+        return vertex_normals(self._v1[self._frontal], self._frontal_triangles)
 
     def _deform_to_depth(self, surface, frame, pose, v1, normals) -> tuple[np.ndarray, float]:
         p = self.parameters.laplacian

@@ -1,0 +1,152 @@
+"""The whole tracker on rendered performances with known truth, and on rubbish."""
+
+import numpy as np
+import pytest
+from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
+
+from adaptiveface.frame import Features2D, RgbdFrame
+from adaptiveface.parameters import Parameters
+from adaptiveface.tracking.tracker import FaceTracker
+from adaptiveface.tracking.types import SampleState
+
+
+def lump(actor, size=5.0):
+    """(N, 3) a bulge on one cheek that no blendshape makes."""
+    centre = np.array([38.0, -20.0, 0.0])
+    distance = np.linalg.norm((actor.neutral - centre)[:, :2], axis=1)
+    normal_ish = np.array([0.5, 0.0, 0.87])
+    return size * np.exp(-((distance / 18.0) ** 2))[:, None] * normal_ish * actor.frontal[:, None]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """60 frames: jaw, smile and a cheek bulge outside the blendshapes, while the head turns; truth in the head frame."""
+    actor = exact_actor()
+    frames, shapes, poses = [], [], []
+    for i in range(60):
+        phase = 0.5 - 0.5 * np.cos(2 * np.pi * i / 30)
+        x = coefficients(actor, jawOpen=0.35 * phase, mouthSmileLeft=0.6 * phase)
+        shape = posed_shape(actor, x) + phase * lump(actor)
+        pose = head_pose((0.05 * np.sin(i / 7), 0.2 * np.sin(i / 9), 0.0), (8 * np.sin(i / 6), 0.0, 600.0))
+        frames.append(render_frame(actor, shape, pose, i, noise=0.6, pixel_noise=0.4))
+        shapes.append(shape)
+        poses.append(pose)
+    return actor, frames, shapes, poses
+
+
+def errors(result, shape, pose, actor, stage):
+    placed = result.in_camera(getattr(result, stage))
+    truth = shape @ pose[:3, :3].T + pose[:3, 3]
+    return np.linalg.norm(placed - truth, axis=1)[actor.frontal & actor.depth_valid]
+
+
+def test_tracks_learns_and_beats_the_blendshapes(scene):
+    actor, frames, shapes, poses = scene
+    tracker = FaceTracker(actor)
+    results = [tracker.track(f) for f in frames]
+    assert all(r.tracked for r in results)
+    late = range(40, 56)
+    bulge = np.linalg.norm(lump(actor), axis=1)[actor.frontal & actor.depth_valid] > 2.0
+    v1 = np.mean([errors(results[i], shapes[i], poses[i], actor, "v1")[bulge].mean() for i in late])
+    v4 = np.mean([errors(results[i], shapes[i], poses[i], actor, "v4")[bulge].mean() for i in late])
+    assert v4 < 0.8 * v1
+    everywhere = [errors(results[i], shapes[i], poses[i], actor, "v4").mean() for i in late]
+    assert np.mean(everywhere) < 0.6
+    assert results[-1].corrective_updates > 10
+    assert any(r.sample_state is SampleState.LEARNED for r in results)
+    assert results[45].adaptive_distance < 0.5 * results[45].anchor_distance
+
+
+def test_learning_off_keeps_the_adaptive_space_empty(scene):
+    actor, frames, *_ = scene
+    tracker = FaceTracker(actor, Parameters().set(adaptive_pca__learn=False))
+    results = [tracker.track(f) for f in frames[:20]]
+    assert tracker.model.correctives.shape[1] == 0 and results[-1].corrective_updates == 0
+    np.testing.assert_allclose(results[15].adaptive_distance, results[15].anchor_distance)
+
+
+def test_stages_differ_only_where_the_paper_says(scene):
+    actor, frames, *_ = scene
+    tracker = FaceTracker(actor)
+    for frame in frames[:16]:
+        result = tracker.track(frame)
+    outside = ~actor.frontal
+    np.testing.assert_array_equal(result.v2[outside], result.v1[outside])
+    np.testing.assert_array_equal(result.v4[outside], result.v3[outside])
+    assert np.abs(result.v2 - result.v1).max() > 0.5
+    limits = tracker.parameters.blendshapes
+    for x in (result.coefficients, result.coefficients_initial):
+        assert x.min() >= limits.lower and x.max() <= limits.upper
+
+
+def test_results_are_bit_identical_twice(scene):
+    actor, frames, *_ = scene
+    runs = []
+    for _ in range(2):
+        tracker = FaceTracker(actor)
+        runs.append([tracker.track(f) for f in frames[:25]])
+    for a, b in zip(*runs, strict=True):
+        np.testing.assert_array_equal(a.vertices, b.vertices)
+        np.testing.assert_array_equal(a.coefficients, b.coefficients)
+
+
+def garbage_frames(kind, count=60):
+    rng = np.random.default_rng(11)
+    shape = (CAMERA.height, CAMERA.width)
+    for i in range(count):
+        features = Features2D(rng.uniform(0, 400, size=(40, 2)), np.ones(40)) if kind != "no features" else None
+        depth = {
+            "empty": lambda: np.zeros(shape),
+            "noise": lambda: rng.uniform(300, 1200, size=shape),
+            "wall": lambda: np.full(shape, 600.0),
+            "no features": lambda: rng.uniform(590, 610, size=shape),
+        }[kind]().astype(np.float32)
+        yield RgbdFrame(depth, CAMERA, None, 100 + i, 4.0 + i / 30, features)
+
+
+@pytest.mark.parametrize("kind", ["empty", "noise", "wall", "no features"])
+def test_nothing_is_learned_from_garbage_and_tracking_recovers(scene, kind):
+    actor, frames, shapes, poses = scene
+    tracker = FaceTracker(actor)
+    for frame in frames[:40]:
+        tracker.track(frame)
+    before, updates = tracker.model.correctives.copy(), tracker.model.updates
+    assert updates > 0
+    for frame in garbage_frames(kind):
+        result = tracker.track(frame)
+        assert not result.tracked and result.reason
+        assert result.sample_state is SampleState.UNTRACKED
+    np.testing.assert_array_equal(tracker.model.correctives, before)
+    assert tracker.model.updates == updates
+    basis = np.hstack([tracker.model.anchors, tracker.model.correctives])
+    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-9)
+    result = tracker.track(frames[40])
+    assert result.tracked
+    assert errors(result, shapes[40], poses[40], actor, "v4").mean() < 1.5
+
+
+def test_a_jump_of_the_head_is_found_again(scene):
+    actor, frames, shapes, poses = scene
+    tracker = FaceTracker(actor)
+    tracker.track(frames[0])
+    pose = head_pose((0.1, -0.4, 0.1), (110.0, 40.0, 700.0))
+    result = tracker.track(render_frame(actor, actor.neutral, pose, 77, noise=0.6, pixel_noise=0.4))
+    assert result.tracked
+    assert errors(result, actor.neutral, pose, actor, "v4").mean() < 1.0
+
+
+def test_tracks_without_features_once_started(scene):
+    actor, frames, shapes, poses = scene
+    tracker = FaceTracker(actor)
+    tracker.track(frames[0])
+    for i in range(1, 15):
+        result = tracker.track(RgbdFrame(frames[i].depth, CAMERA, None, i, i / 30))
+        assert result.tracked
+    assert errors(result, shapes[14], poses[14], actor, "v4").mean() < 2.0
+
+
+def test_paper_parameters_run(scene):
+    actor, frames, *_ = scene
+    tracker = FaceTracker(actor, Parameters.paper())
+    results = [tracker.track(f) for f in frames[:12]]
+    assert all(r.tracked for r in results)

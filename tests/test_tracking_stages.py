@@ -1,0 +1,285 @@
+"""Each stage against truth or against an independent solver."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import lsq_linear
+from scipy.sparse.linalg import spsolve
+from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
+
+from adaptiveface.mesh import cotangent_laplacian, transform_points, vertex_normals
+from adaptiveface.parameters import BlendshapeParameters, DepthParameters, KalmanParameters, RigidParameters
+from adaptiveface.tracking.bounded import bounded_least_squares
+from adaptiveface.tracking.depth_surface import Correspondences, depth_surface, find_correspondences
+from adaptiveface.tracking.detection import pose_from_features
+from adaptiveface.tracking.expression import BlendshapeFit
+from adaptiveface.tracking.feature_rows import feature_rows
+from adaptiveface.tracking.kalman import CoefficientFilter
+from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation, PrefactoredSystem, feature_term
+from adaptiveface.tracking.rigid import RigidTracker, point_to_plane_step, rigid_jacobian
+
+
+@pytest.fixture(scope="module")
+def actor():
+    return exact_actor()
+
+
+def whole_surface(frame, **changes):
+    return depth_surface(frame.depth, frame.camera, (0, 0, frame.camera.width, frame.camera.height), DepthParameters(**changes))
+
+
+def pose_difference(a, b):
+    """Rotation (degrees) and translation (mm) between two poses."""
+    turn = a[:3, :3] @ b[:3, :3].T
+    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+    return angle, np.linalg.norm(a[:3, 3] - b[:3, 3])
+
+
+# ---- depth surface --------------------------------------------------------------------------------------------------
+def test_correspondences_of_the_true_mesh_have_no_distance(actor):
+    pose = head_pose((0.05, 0.2, 0.0))
+    frame = render_frame(actor, actor.neutral, pose)
+    points = transform_points(pose, actor.neutral)
+    matches = find_correspondences(whole_surface(frame, smoothing=0.3), points, vertex_normals(points, actor.triangles), 25.0)
+    used = (matches.weights > 0) & actor.frontal & actor.depth_valid
+    assert used.sum() > 2000
+    assert np.median(np.abs(matches.distances[used])) < 0.05
+    normals = vertex_normals(points, actor.triangles)[used]
+    cosine = (matches.normals[used] * normals).sum(axis=1)
+    assert np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))) < 6.0
+
+
+def test_a_shifted_plane_gives_its_distance():
+    camera, shift = CAMERA, 4.0
+    depth = np.full((camera.height, camera.width), 600.0, np.float32)
+    depth[:100] = 0.0
+    surface = depth_surface(depth, camera, (0, 0, 640, 480), DepthParameters())
+    pixels = np.array([[320.0, 240.0], [200.3, 300.7], [320.0, 50.0]])
+    points = camera.back_project(pixels, np.full(3, 600.0 - shift))
+    matches = find_correspondences(surface, points, np.tile([0.0, 0.0, -1.0], (3, 1)), 25.0)
+    assert matches.weights[2] == 0.0  # no measurement there
+    np.testing.assert_allclose(matches.distances[:2], shift, atol=1e-3)
+    np.testing.assert_allclose(matches.normals[:2], [[0, 0, -1]] * 2, atol=1e-6)
+    assert find_correspondences(surface, points, np.tile([0.0, 0.0, -1.0], (3, 1)), 3.0).count == 0
+
+
+# ---- rigid motion ---------------------------------------------------------------------------------------------------
+def test_point_to_plane_step_equals_numpy_least_squares():
+    rng = np.random.default_rng(3)
+    points, normals = 50 * rng.normal(size=(200, 3)), rng.normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    matches = Correspondences(rng.normal(size=200), normals, rng.uniform(size=200) * (rng.uniform(size=200) > 0.3))
+    centre, vertex_weights = points.mean(axis=0), rng.uniform(0.5, 1, size=200)
+    root = np.sqrt(matches.weights * vertex_weights)
+    expected = np.linalg.lstsq(root[:, None] * rigid_jacobian(points, normals, centre), -root * matches.distances, rcond=None)[0]
+    np.testing.assert_allclose(point_to_plane_step(points, matches, centre, vertex_weights), expected, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("turn, shift", [((0, 0, 0), (6, 0, 0)), ((0.03, 0.02, -0.03), (3, -3, 5)), ((0, 0.06, 0), (0, 0, -8))])
+def test_icp_recovers_a_known_motion(actor, turn, shift):
+    truth = head_pose(np.array([0.05, 0.15, 0.0]) + turn, np.array([10.0, -5.0, 620.0]) + shift)
+    start = head_pose((0.05, 0.15, 0.0), (10.0, -5.0, 620.0))
+    frame = render_frame(actor, actor.neutral, truth, noise=0.8)
+    used = np.flatnonzero(actor.frontal & actor.depth_valid)
+    normals = vertex_normals(actor.neutral, actor.triangles)[used]
+    tracker = RigidTracker(np.ones(len(used)), RigidParameters(iterations=8))
+    fit = tracker.align(whole_surface(frame), actor.neutral[used], normals, start)
+    angle, distance = pose_difference(fit.pose, truth)
+    assert angle < 0.3 and distance < 0.5
+    assert fit.residual < 0.6
+
+
+def test_icp_reports_no_match_as_infinite_residual(actor):
+    frame = render_frame(actor, actor.neutral, head_pose())
+    used = np.flatnonzero(actor.frontal)
+    normals = vertex_normals(actor.neutral, actor.triangles)[used]
+    far = head_pose(translation=(0, 0, 900.0))
+    assert RigidTracker(np.ones(len(used)), RigidParameters()).align(whole_surface(frame), actor.neutral[used], normals, far).residual == np.inf
+
+
+def test_pose_from_features_with_and_without_depth(actor):
+    truth = head_pose((0.1, -0.3, 0.05), (20.0, 10.0, 650.0))
+    frame = render_frame(actor, actor.neutral, truth, pixel_noise=0.3)
+    points = np.einsum("fk,fkd->fd", actor.feature_weights, actor.neutral[actor.feature_triangles])
+    angle, distance = pose_difference(pose_from_features(frame, points), truth)
+    assert angle < 3.0 and distance < 15.0
+    blind = type(frame)(np.zeros_like(frame.depth), frame.camera, features=frame.features)
+    angle, distance = pose_difference(pose_from_features(blind, points), truth)
+    assert angle < 6.0 and distance < 40.0
+
+
+# ---- blendshapes ----------------------------------------------------------------------------------------------------
+def test_bounded_least_squares_equals_scipy():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        a, b = rng.normal(size=(60, 23)) @ rng.normal(size=(23, 23)), rng.normal(size=60) * 5
+        expected = lsq_linear(a, b, (0.0, 1.0), tol=1e-12).x
+        got = bounded_least_squares(a.T @ a, a.T @ b, np.zeros(23), np.ones(23), sweeps=20000, tolerance=1e-13)
+        np.testing.assert_allclose(got, expected, atol=1e-5)
+
+
+def test_clipping_the_unbounded_solution_is_wrong():
+    h = np.array([[1.0, 0.8], [0.8, 1.0]])
+    unbounded = np.array([0.5, 1.5])
+    bounded = bounded_least_squares(h, h @ unbounded, np.zeros(2), np.ones(2))
+    # With the second coefficient held at 1, the first makes up for it: 0.5 + 0.8 * 0.5.
+    np.testing.assert_allclose(bounded, [0.9, 1.0], atol=1e-7)
+    assert np.abs(bounded - np.clip(unbounded, 0, 1)).max() > 0.3
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_blendshape_fit_recovers_known_coefficients(actor, joint):
+    truth = coefficients(actor, jawOpen=0.4, mouthSmileLeft=0.6, browInnerUp=0.7)
+    pose = head_pose((0.0, 0.1, 0.0))
+    frame = render_frame(actor, posed_shape(actor, truth), pose)
+    fit = BlendshapeFit(actor, BlendshapeParameters(ridge=0.0, temporal=0.0, iterations=8, joint_pose=joint))
+    normals = vertex_normals(actor.neutral, actor.triangles)[fit.depth_vertices]
+    found_pose, x = fit.fit(whole_surface(frame, smoothing=0.3), frame.features, CAMERA, pose, np.zeros(23), normals)
+    assert np.abs(x - truth).max() < 0.12
+    np.testing.assert_allclose(fit.shape(x)[actor.frontal], posed_shape(actor, truth)[actor.frontal], atol=1.5)
+    assert pose_difference(found_pose, pose)[0] < 0.3
+    if not joint:
+        np.testing.assert_array_equal(found_pose, pose)
+
+
+def test_resolve_returns_the_coefficients_of_a_blendshape_mesh(actor):
+    truth = coefficients(actor, jawOpen=0.3, mouthPucker=0.5, eyeBlinkLeft=1.0)
+    fit = BlendshapeFit(actor, BlendshapeParameters(ridge=0.0))
+    np.testing.assert_allclose(fit.resolve(posed_shape(actor, truth), np.zeros(23)), truth, atol=1e-4)
+
+
+def test_feature_rows_are_zero_at_the_truth_and_follow_the_projection(actor):
+    pose = head_pose((0.1, 0.2, 0.0))
+    frame = render_frame(actor, actor.neutral, pose)
+    rows = feature_rows(frame.features, CAMERA, pose)
+    points = np.einsum("fk,fkd->fd", actor.feature_weights, actor.neutral[actor.feature_triangles])
+    value = np.einsum("fij,fj->fi", rows.rows, points) + rows.offsets
+    np.testing.assert_allclose(value, 0.0, atol=1e-6)
+    moved = points + [1.0, -2.0, 3.0]
+    in_camera = transform_points(pose, moved)
+    expected = (CAMERA.project(in_camera) - frame.features.pixels) * in_camera[:, 2:]
+    np.testing.assert_allclose(np.einsum("fij,fj->fi", rows.rows, moved) + rows.offsets, expected, atol=1e-6)
+
+
+# ---- Kalman ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("model, gain", [("variance", 0.90), ("acceleration", 0.06)])
+def test_kalman_readings_have_the_documented_gain(model, gain):
+    """The steady response to one step of the measurement, for both readings of the paper's noises."""
+    kalman = CoefficientFilter(KalmanParameters(model=model))
+    for _ in range(600):
+        kalman.update(np.zeros(3))
+    np.testing.assert_allclose(kalman.update(np.ones(3)), gain, atol=0.01)
+
+
+def test_kalman_off_and_reset():
+    kalman = CoefficientFilter(KalmanParameters(model="off"))
+    np.testing.assert_array_equal(kalman.update(np.array([0.3, 0.7])), [0.3, 0.7])
+    kalman = CoefficientFilter(KalmanParameters(model="acceleration"))
+    for value in (0.0, 0.5):
+        kalman.update(np.full(2, value))
+    kalman.reset()
+    np.testing.assert_array_equal(kalman.update(np.full(2, 0.9)), [0.9, 0.9])
+
+
+# ---- Laplacian deformation ------------------------------------------------------------------------------------------
+def rig(actor):
+    return actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights
+
+
+def dense_reference(actor, w1, w2, matches, normals, term):
+    """The energy of laplacian.py assembled and solved directly with all 3n unknowns coupled."""
+    n = int(actor.frontal.sum())
+    rows = cotangent_laplacian(actor.neutral, actor.triangles)[:, np.flatnonzero(actor.frontal)]
+    system = sp.kron(w2 * rows.T @ rows, sp.identity(3)).tolil().tocsr()
+    index = 3 * np.arange(n)
+    selector = sp.csr_matrix((normals.ravel(), (np.repeat(np.arange(n), 3), np.arange(3 * n))), (n, 3 * n))
+    strength = sp.diags(w1 * matches.weights)
+    system = system + selector.T @ strength @ selector
+    right = selector.T @ (-w1 * matches.weights * matches.distances)
+    place = np.cumsum(actor.frontal) - 1
+    for k, f in enumerate(term.index):
+        for r in range(term.rows.shape[1]):
+            row = np.zeros(3 * n)
+            for c in range(3):
+                vertex = actor.feature_triangles[f, c]
+                if actor.frontal[vertex]:
+                    row[index[place[vertex]] : index[place[vertex]] + 3] += actor.feature_weights[f, c] * term.rows[k, r]
+            row = sp.csr_matrix(row)
+            system = system + term.weights[k, r] * row.T @ row
+            right = right + term.weights[k, r] * term.targets[k, r] * row.toarray().ravel()
+    return spsolve(system.tocsc(), right).reshape(-1, 3)
+
+
+def laplacian_case(actor, seed=7):
+    rng = np.random.default_rng(seed)
+    n = int(actor.frontal.sum())
+    normals = vertex_normals(actor.neutral, actor.triangles)[actor.frontal]
+    matches = Correspondences(rng.normal(size=n), normals, rng.uniform(size=n) * (rng.uniform(size=n) > 0.2))
+    pose = head_pose((0.0, 0.1, 0.0))
+    frame = render_frame(actor, actor.neutral, pose, pixel_noise=2.0)
+    points = np.einsum("fk,fkd->fd", actor.feature_weights, actor.neutral[actor.feature_triangles])
+    rows = feature_rows(frame.features, CAMERA, pose)
+    return matches, normals, rows, points, pose
+
+
+def test_laplacian_deformation_converges_to_the_coupled_solution(actor):
+    matches, normals, rows, points, pose = laplacian_case(actor)
+    term = feature_term(rows, points, pose, CAMERA.fx, 0.09, hold_depth=False)
+    solver = LaplacianDeformation(*rig(actor), w1=0.1, w2=5.0)
+    expected = dense_reference(actor, 0.1, 5.0, matches, normals, term)
+    got = solver.deform(matches, normals, term, np.zeros_like(normals), steps=60)
+    np.testing.assert_allclose(got, expected, atol=1e-6)
+    two = solver.deform(matches, normals, term, expected + 0.05 * np.random.default_rng(1).normal(size=expected.shape), steps=2)
+    assert np.abs(two - expected).mean() < 0.03
+
+
+def test_final_deformation_is_exact_in_one_step(actor):
+    _, normals, rows, points, pose = laplacian_case(actor)
+    term = feature_term(rows, points, pose, CAMERA.fx, 0.05, hold_depth=True)
+    n = len(normals)
+    nothing = Correspondences(np.zeros(n), normals, np.zeros(n))
+    expected = dense_reference(actor, 0.0, 5.0, nothing, normals, term)
+    got = LaplacianDeformation(*rig(actor), w1=0.0, w2=5.0).deform_to_features(term)
+    np.testing.assert_allclose(got, expected, atol=1e-6)
+    assert np.abs(got).max() > 0.2
+
+
+def test_no_features_no_depth_means_no_deformation(actor):
+    n = int(actor.frontal.sum())
+    empty = FeatureTerm(np.zeros(0, int), np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
+    nothing = Correspondences(np.zeros(n), np.zeros((n, 3)), np.zeros(n))
+    solver = LaplacianDeformation(*rig(actor), w1=0.1, w2=5.0)
+    np.testing.assert_array_equal(solver.deform(nothing, np.zeros((n, 3)), empty, np.zeros((n, 3)), 2), 0.0)
+    np.testing.assert_array_equal(solver.deform_to_features(empty), 0.0)
+
+
+def test_printed_equation_7_makes_the_weights_vanish(actor):
+    """The printed pseudoinverse K^T (K K^T)^-1 G^-1 a does not depend on w1 and w2; the energy form does.
+
+    a holds the constraints' right-hand sides scaled like their rows, as eq. (7) stacks them (w1 I times I dv = w1 d).
+    """
+    chosen = np.flatnonzero(actor.frontal)[:150]
+    rows = cotangent_laplacian(actor.neutral, actor.triangles)[chosen][:, chosen].toarray()
+    rng = np.random.default_rng(0)
+    target = rng.normal(size=150)
+    features = np.eye(150)[:5]
+
+    def printed(w1, w2):
+        k = np.vstack([features, np.eye(150), rows])
+        g = np.concatenate([np.ones(5), np.full(150, w1), np.full(150, w2)])
+        a = np.concatenate([np.zeros(5), w1 * target, np.zeros(150)])
+        return k.T @ np.linalg.pinv(k @ k.T) @ (a / g)
+
+    def weighted(w1, w2):
+        h = features.T @ features + w1 * np.eye(150) + w2 * rows.T @ rows
+        return np.linalg.solve(h, w1 * target)
+
+    np.testing.assert_allclose(printed(0.1, 100.0), printed(10.0, 0.01), atol=1e-8)
+    assert np.abs(weighted(0.1, 100.0) - weighted(10.0, 0.01)).max() > 0.5
+
+
+def test_prefactored_system_equals_a_fresh_solve(actor):
+    system = PrefactoredSystem(actor.neutral, actor.triangles, actor.frontal, 0.1, 5.0)
+    right = np.random.default_rng(2).normal(size=(int(actor.frontal.sum()), 3))
+    matrix = (system.smoothing + 0.1 * sp.identity(len(right))).tocsc()
+    np.testing.assert_allclose(system.solve(right), spsolve(matrix, right), atol=1e-9)
