@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from .errors import FileFormatError
 from .frame import FEATURE_IDS
 from .npz import Field, check_indices, load_checked
 
@@ -78,4 +79,19 @@ class Actor:
                 data[name] = array.astype(float)
         data["expression_names"] = tuple(str(s) for s in data["expression_names"])
         data.setdefault("depth_valid", data["frontal"])
+        _check_plausible(path, data)
         return cls(**data)
+
+
+def _check_plausible(path: str | os.PathLike, data: dict) -> None:
+    """Raise :class:`FileFormatError` for arrays that are well formed but describe no face in millimetres."""
+    if not (data["frontal"].any() and len(data["triangles"]) and len(data["blendshapes"])):
+        raise FileFormatError(f"{path}: no frontal vertices, no triangles or no blendshapes")
+    size = float(np.ptp(data["neutral"][data["frontal"]], axis=0).max())
+    if not 50 <= size <= 1000:
+        raise FileFormatError(f"{path}: the face in 'neutral' is {size:g} mm across; 50 to 1000 mm are expected")
+    if np.abs(data["neutral"]).max() > 10_000 or np.abs(data["blendshapes"]).max() > 500:
+        raise FileFormatError(f"{path}: 'neutral' or 'blendshapes' hold lengths that no head has (millimetres?)")
+    weights = data["feature_weights"]
+    if weights.min() < -0.01 or np.abs(weights.sum(axis=1) - 1).max() > 0.01:
+        raise FileFormatError(f"{path}: rows of 'feature_weights' are not barycentric (0 to 1, sum 1)")

@@ -79,12 +79,20 @@ def load_checked(path: str | os.PathLike, fields: Mapping[str, Field], max_bytes
                     array = np.lib.format.read_array(member, allow_pickle=False)
                 if array.dtype.kind == "f" and not np.isfinite(array).all():
                     raise FileFormatError(f"{path}: array '{name}' holds NaN or infinite values")
+                if array.dtype.kind == "U" and not _is_text(array):
+                    raise FileFormatError(f"{path}: array '{name}' holds characters that do not exist")
                 out[name] = array
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError, KeyError, zipfile.LargeZipFile, MemoryError) as error:
-        if isinstance(error, FileFormatError):
-            raise
+    except FileFormatError:
+        raise
+    except Exception as error:  # damaged archives and headers raise anything, from zlib.error to tokenize.TokenError
         raise FileFormatError(f"{path}: not a readable npz file ({error})") from error
     return out
+
+
+def _is_text(array: np.ndarray) -> bool:
+    """Whether a unicode array holds valid characters only: numpy stores any 32 bits, Python fails on them later."""
+    codes = np.frombuffer(array.tobytes(), np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+    return not (codes > 0x10FFFF).any() and not ((codes >= 0xD800) & (codes < 0xE000)).any()
 
 
 def check_indices(path: str | os.PathLike, name: str, array: np.ndarray, upper: int) -> None:

@@ -12,9 +12,10 @@ from typing import Protocol, runtime_checkable
 from ..camera import Camera
 from ..errors import FileFormatError, ParameterError
 from ..frame import RgbdFrame
+from ..synthetic.noise import DEPTH_SCALES
 from .recording import Recording, RecordingWriter
 
-NOISES = ("structured-light", "truedepth", "none")
+NOISES = tuple(DEPTH_SCALES)
 
 _POSSIBLE = (
     "possible sources: a recording folder (with intrinsic.json, depth/, color/), "
