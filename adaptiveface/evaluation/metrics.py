@@ -30,7 +30,7 @@ class TrueSurface:
     which on meshes with edges of a few millimetres it does (the tests compare with all triangles).
     """
 
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, candidates: int = 4):
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, candidates: int = 3):
         self.vertices = np.ascontiguousarray(vertices, float)
         self.triangles = np.ascontiguousarray(triangles, np.int64)
         self.candidates = candidates
@@ -132,12 +132,16 @@ def pose_error(
 def _distance_to_incident_triangles(points, near, vertices, triangles, start, incident):
     """Smallest distance of each point (n, 3) to the triangles around its near vertices (n, k)."""
     distances = np.empty(len(points))
+    seen = np.full(len(triangles), -1)  # neighbouring vertices share triangles: the last point that visited each
     for i in range(len(points)):
         best = np.inf
         for vertex in near[i]:
             for entry in range(start[vertex], start[vertex + 1]):
-                a, b, c = triangles[incident[entry]]
-                best = min(best, _squared_distance_to_triangle(points[i], vertices[a], vertices[b], vertices[c]))
+                t = incident[entry]
+                if seen[t] != i:
+                    seen[t] = i
+                    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+                    best = min(best, _squared_distance_to_triangle(points[i], vertices[a], vertices[b], vertices[c]))
         distances[i] = np.sqrt(best)
     return distances
 

@@ -160,7 +160,7 @@ class ErrorCollector:
         self, index: int, rigid: np.ndarray, meshes: dict[str, np.ndarray], anchor: float = np.nan,
         adaptive: float = np.nan,
     ) -> None:  # fmt: skip
-        """Score frame ``index``: ``rigid`` (4, 4) head to camera, ``meshes`` stage -> (N, 3) in the camera frame, mm."""
+        """Score one frame: ``rigid`` (4, 4) head to camera, ``meshes`` stage -> (N, 3) in the camera frame, mm."""
         truth = self.truth[index]
         surface = metrics.TrueSurface(truth.vertices, self.actor.triangles)
         normals = vertex_normals(truth.vertices, self.actor.triangles)[self.frontal]
