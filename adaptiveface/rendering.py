@@ -1,9 +1,9 @@
 """Headless rendering: rays through the pixel centres against a triangle mesh, and plain shading. No display, no OpenGL.
 
-Deforming meshes change every frame, so a ray tracer would spend its time rebuilding its search tree. Here each triangle
-visits the few pixels it covers (a z-buffer) and intersects their rays exactly: homogeneous edge functions (Olano & Greer
-1997, "Triangle scan conversion using 2D homogeneous coordinates") give the barycentric coordinates of the hit in space.
-The kernels are serial and cached.
+Deforming meshes change every frame, so a ray tracer would spend its time rebuilding its search tree. Here each
+triangle visits the few pixels it covers (a z-buffer) and intersects their rays exactly: homogeneous edge functions
+(Olano & Greer 1997, "Triangle scan conversion using 2D homogeneous coordinates") give the barycentric coordinates of
+the hit in space. The kernels are serial and cached.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ NEAR = 10.0
 class Hits:
     """What the rays of a window hit first; h, w are the window's size.
 
-    depth (h, w) float64 mm along z, 0 = miss; triangle (h, w) int32, -1 = miss; barycentric (h, w, 3) float64 weights of
-    the triangle's vertices at the hit, 0 = miss; window: u0, v0, u1, v1, pixels, the end excluded.
+    depth (h, w) float64 mm along z, 0 = miss; triangle (h, w) int32, -1 = miss; barycentric (h, w, 3) float64
+    weights of the triangle's vertices at the hit, 0 = miss; window: u0, v0, u1, v1, pixels, the end excluded.
     """
 
     depth: np.ndarray
@@ -45,16 +45,18 @@ class Hits:
 
 
 def covering_window(camera: Camera, vertices: np.ndarray, margin: int = 1) -> tuple[int, int, int, int]:
-    """The smallest pixel window u0, v0, u1, v1 (end excluded) that holds the projected vertices (N, 3), plus a margin."""
-    seen = vertices[vertices[:, 2] > NEAR]
-    if len(seen) == 0:
+    """Smallest pixel window u0, v0, u1, v1 (end excluded) that holds the projected vertices (N, 3), plus a margin."""
+    x, y, z = vertices[vertices[:, 2] > NEAR].T
+    if len(z) == 0:
         return 0, 0, 0, 0
-    pixels = camera.project(seen)
-    low = np.floor(pixels.min(axis=0)).clip(-margin, [camera.width, camera.height]).astype(int) - margin
-    high = np.ceil(pixels.max(axis=0)).clip(-margin, [camera.width, camera.height]).astype(int) + margin + 1
-    size = [camera.width, camera.height]
-    (u0, v0), (u1, v1) = low.clip(0, size).tolist(), high.clip(0, size).tolist()
-    return u0, v0, max(u0, u1), max(v0, v1)
+    u0, u1 = _span(camera.fx * x / z + camera.cx, camera.width, margin)
+    v0, v1 = _span(camera.fy * y / z + camera.cy, camera.height, margin)
+    return u0, v0, u1, v1
+
+
+def _span(pixels: np.ndarray, size: int, margin: int) -> tuple[int, int]:
+    low, high = np.clip([np.floor(pixels.min()) - margin, np.ceil(pixels.max()) + margin + 1], 0, size)
+    return int(low), int(high)
 
 
 def ray_cast(camera: Camera, vertices: np.ndarray, triangles: np.ndarray, window=None, cull: bool = False) -> Hits:
@@ -103,20 +105,25 @@ def _rasterise(vertices, triangles, fx, fy, cx, cy, u0, v0, cull, depth, triangl
         volume = p[0] * plane[0, 0] + p[1] * plane[0, 1] + p[2] * plane[0, 2]
         if volume == 0.0 or (cull and volume > 0.0):
             continue
-        sign = 1.0 if volume > 0.0 else -1.0
+        if volume < 0.0:
+            volume = -volume
+            plane *= -1.0
         for v in range(first_v, last_v + 1):
             y = (v + v0 - cy) / fy
+            a0 = plane[0, 1] * y + plane[0, 2]
+            a1 = plane[1, 1] * y + plane[1, 2]
+            a2 = plane[2, 1] * y + plane[2, 2]
             for u in range(first_u, last_u + 1):
                 x = (u + u0 - cx) / fx
-                w0 = sign * (plane[0, 0] * x + plane[0, 1] * y + plane[0, 2])
-                w1 = sign * (plane[1, 0] * x + plane[1, 1] * y + plane[1, 2])
-                w2 = sign * (plane[2, 0] * x + plane[2, 1] * y + plane[2, 2])
+                w0 = plane[0, 0] * x + a0
+                w1 = plane[1, 0] * x + a1
+                w2 = plane[2, 0] * x + a2
                 if w0 < 0.0 or w1 < 0.0 or w2 < 0.0:
                     continue
                 total = w0 + w1 + w2
                 if total <= 0.0:
                     continue
-                z = sign * volume / total
+                z = volume / total
                 if triangle[v, u] < 0 or z < depth[v, u]:
                     depth[v, u] = z
                     triangle[v, u] = t
@@ -165,7 +172,7 @@ def _accumulate_normals(vertices, triangles, normals):
 
 
 def smooth_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N, 3) unit vertex normals, as ``mesh.vertex_normals`` (tested equal), for dense meshes that change every frame."""
+    """(N, 3) unit vertex normals as ``mesh.vertex_normals`` (tested equal), fast on meshes that change every frame."""
     normals = np.zeros((len(vertices), 3))
     _accumulate_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int64), normals)
     return normals
@@ -186,6 +193,10 @@ class Light:
     shininess: float = 18.0
 
 
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.sqrt(np.einsum("pd,pd->p", vectors, vectors)), 1e-9)[:, None]
+
+
 def irradiance(normals: np.ndarray, towards_camera: np.ndarray, light: Light) -> tuple[np.ndarray, np.ndarray]:
     """Diffuse (P,) and specular (P,) share of the light for unit normals and unit directions to the camera, (P, 3).
 
@@ -199,10 +210,25 @@ def irradiance(normals: np.ndarray, towards_camera: np.ndarray, light: Light) ->
     # A wrapped cosine stands for the light that skin scatters into the shadow.
     wrapped = np.clip((normals @ key + 0.35) / 1.35, 0, None)
     diffuse = light.ambient + light.head * facing + light.key * wrapped
-    half = towards_camera + key
-    half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    half = _unit(towards_camera + key)
     specular = light.specular * np.clip(np.einsum("pd,pd->p", normals, half), 0, 1) ** light.shininess
     return diffuse, specular
+
+
+def illuminate(
+    hits: Hits, vertices: np.ndarray, triangles: np.ndarray, albedo: np.ndarray, camera: Camera, light: Light, gloss=1.0
+) -> np.ndarray:
+    """(P, 3) lit colours, 0..255 and above, of the P hits (in the order of ``hits.mask``) with smooth normals.
+
+    vertices (N, 3) in the camera frame, triangles (T, 3): the mesh of the hits; albedo (P, 3) or (3,) in 0..255; gloss:
+    factor of the specular light, a number or (P,).
+    """
+    normals = hits.interpolate(smooth_normals(vertices, triangles), triangles)
+    v, u = np.nonzero(hits.mask)
+    u0, v0 = hits.window[:2]
+    ray = np.stack([(u + u0 - camera.cx) / camera.fx, (v + v0 - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
+    diffuse, specular = irradiance(_unit(normals), _unit(-ray), light)
+    return albedo * diffuse[:, None] + 255 * (gloss * specular)[:, None]
 
 
 def shade(
@@ -220,8 +246,8 @@ def shade(
     """(h, w, 3) uint8 picture of what ``ray_cast`` hit, with smooth normals.
 
     vertices (N, 3), triangles (T, 3): the mesh of the hits; ``colours``: one RGB triple in 0..255, (N, 3) of them, or
-    (N,) scalars shown with a Matplotlib ``colourmap`` between ``limits`` (a heat map; NaN is grey); ``background``: RGB,
-    or an (h, w, 3) image to draw over.
+    (N,) scalars shown with a Matplotlib ``colourmap`` between ``limits`` (a heat map; NaN is grey); ``background``:
+    RGB, or an (h, w, 3) image to draw over.
     """
     h, w = hits.depth.shape
     image = np.empty((h, w, 3), np.uint8)
@@ -232,15 +258,9 @@ def shade(
     colours = np.asarray(colours, float)
     if colours.ndim == 1 and len(colours) == len(vertices):
         colours = heat_map(colours, limits, colourmap)
-    albedo = colours[None, :3] if colours.ndim == 1 else hits.interpolate(colours, triangles)
-    normals = hits.interpolate(smooth_normals(vertices, triangles), triangles)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    v, u = np.nonzero(hit)
-    u0, v0 = hits.window[:2]
-    towards = -np.stack([(u + u0 - camera.cx) / camera.fx, (v + v0 - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    diffuse, specular = irradiance(normals, towards, light or Light())
-    image[hit] = np.clip(albedo * diffuse[:, None] + 255 * specular[:, None], 0, 255).astype(np.uint8)
+    albedo = colours[:3] if colours.ndim == 1 else hits.interpolate(colours, triangles)
+    lit = illuminate(hits, vertices, triangles, albedo, camera, light or Light())
+    image[hit] = np.clip(lit, 0, 255).astype(np.uint8)
     return image
 
 

@@ -8,29 +8,24 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from ..mesh import adjacency, boundary_edges, edges
+from ..mesh import adjacency, edges
 
 
 def boundary_loops(triangles: np.ndarray, n_vertices: int) -> list[np.ndarray]:
-    """The vertices of every boundary loop (eyes, mouth, neck), each in walking order."""
-    after: dict[int, list[int]] = {}
-    for a, b in boundary_edges(triangles):
-        after.setdefault(int(a), []).append(int(b))
-        after.setdefault(int(b), []).append(int(a))
-    loops, seen = [], set()
-    for start in after:
-        if start in seen:
-            continue
-        loop, previous, current = [start], -1, start
-        while True:
-            seen.add(current)
-            step = [v for v in after[current] if v != previous and (v not in seen or v == start)]
-            if not step or step[0] == start:
-                break
-            previous, current = current, step[0]
+    """The vertices of every boundary loop (eyes, mouth, neck), in the order in which its triangles run along it."""
+    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    keys = directed[:, 0] * n_vertices + directed[:, 1]
+    single = ~np.isin(keys, directed[:, 1] * n_vertices + directed[:, 0])
+    after = dict(directed[single].tolist())
+    loops = []
+    while after:
+        start, current = after.popitem()
+        loop = [start]
+        while current != start and current in after:
             loop.append(current)
+            current = after.pop(current)
         loops.append(np.array(loop))
-    return loops
+    return sorted(loops, key=lambda loop: int(loop.min()))
 
 
 def rings(loop: np.ndarray, triangles: np.ndarray, n_vertices: int, count: int) -> list[np.ndarray]:
@@ -51,8 +46,8 @@ class Contact:
     """Upper rim against lower rim of one opening (n pairs).
 
     upper (n,) vertices; lower (n, V) sparse: the point of the lower rim under each of them; slack (n,) mm: the gap at
-    rest where it is negative already; spread_up, spread_down (V, n) sparse: how a push spreads over upper and lower skin;
-    share: part of the push that the upper side takes.
+    rest where it is negative already; spread_up, spread_down (V, n) sparse: how a push spreads over upper and lower
+    skin; share: part of the push that the upper side takes.
     """
 
     upper: np.ndarray
@@ -101,8 +96,8 @@ def make_contact(
 ) -> Contact:
     """Pair the upper with the lower half of a rim.
 
-    neutral (V, 3) mm; side (V,): see :func:`sides`; rim: its vertices; region: vertices that may follow a push; reach: how
-    far it spreads, mm (standard deviation); share: part of a push that the upper side takes.
+    neutral (V, 3) mm; side (V,): see :func:`sides`; rim: its vertices; region: vertices that may follow a push; reach:
+    how far it spreads, mm (standard deviation); share: part of a push that the upper side takes.
     """
     upper, lower = (rim[side[rim] == s] for s in (1, -1))
     upper, lower = upper[np.argsort(neutral[upper, 0])], lower[np.argsort(neutral[lower, 0])]

@@ -19,10 +19,10 @@ from .fields import soft_step
 class FoldKind:
     """One kind of fold on the subject's left side; mirrored where ``paired``.
 
-    anchor: landmark (iBUG number) at which ``curve`` starts to be measured; curve (K, 2): x outwards and y up, in units of
-    half the distance between the outer eye corners; drivers: expression units (without Left/Right where paired) and their
-    weights; depth mm of the valley at full activation; width mm; ridge: height of the bulge beside the valley, as a share of the
-    depth, on the side away from the midline (or above).
+    anchor: landmark (iBUG number) at which ``curve`` starts to be measured; curve (K, 2): x outwards and y up, in units
+    of half the distance between the outer eye corners; drivers: expression units (without Left/Right where paired) and
+    their weights; depth mm of the valley at full activation; width mm; ridge: height of the bulge beside the valley, as
+    a share of the depth, on the side away from the midline (or above).
     """
 
     name: str
@@ -48,7 +48,7 @@ FOLDS = (
              (("eyeSquint", 0.7), ("cheekSquint", 0.7), ("mouthSmile", 0.5)), 0.6, 2.0, 0.4),
     FoldKind("under eye", 46, ((-0.4, -0.18), (-0.1, -0.28), (0.2, -0.24)),
              (("cheekSquint", 1.0), ("mouthSmile", 0.5), ("eyeSquint", 0.5)), 0.7, 2.4, 0.6),
-    FoldKind("frown line", 22, ((-0.08, 0.22), (-0.12, 0.05), (-0.1, -0.14)), (("browDown", 1.0),), 0.9, 2.2, 0.5),
+    FoldKind("frown line", 22, ((-0.06, 0.06), (-0.12, -0.08), (-0.12, -0.26)), (("browDown", 1.0),), 0.9, 2.2, 0.5),
     FoldKind("forehead low", 23, ((-0.75, 0.24), (-0.3, 0.33), (0.1, 0.33), (0.5, 0.18)),
              (("browOuterUp", 0.7), ("browInnerUp", 0.5)), 0.9, 2.6, 0.7),
     FoldKind("forehead middle", 23, ((-0.75, 0.45), (-0.3, 0.54), (0.1, 0.53), (0.45, 0.4)),
@@ -87,8 +87,9 @@ def make_folds(
 ) -> list[Fold]:
     """The folds of one person.
 
-    points, normals (D, 3): the dense neutral surface, head frame; landmarks (40, 3) on it, in the order of ``FEATURE_IDS``;
-    names: the expression units. Position, depth and width vary from person to person and from left to right.
+    points, normals (D, 3): the dense neutral surface, head frame; landmarks (40, 3) on it, in the order of
+    ``FEATURE_IDS``; names: the expression units. Position, depth and width vary from person to person and from left
+    to right.
     """
     out = []
     for kind in FOLDS:
@@ -145,7 +146,8 @@ def _profile(kind: FoldKind, curve: np.ndarray, points, normals, side: int) -> t
     tangent = np.gradient(curve, axis=0)[nearest]
     across = np.cross(normals[vertices], tangent)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    outwards = np.sign(across[:, 0] * side + 1e-9) if np.ptp(curve[:, 1]) > np.ptp(curve[:, 0]) else np.sign(across[:, 1])
+    upright = np.ptp(curve[:, 1]) > np.ptp(curve[:, 0])
+    outwards = np.sign(across[:, 0] * side) if upright else np.sign(across[:, 1])
     signed = np.einsum("nd,nd->n", points[vertices] - curve[nearest], across) * outwards
     valley = -np.exp(-0.5 * (distance / kind.width) ** 2)
     ridge_distance = np.hypot(signed - 2.2 * kind.width, np.sqrt(np.maximum(distance**2 - signed**2, 0)))

@@ -1,14 +1,15 @@
 """Sensor noise on clean depth images: structured light (Kinect v1, Carmine) and TrueDepth-like.
 
-Structured light: depth comes from the disparity to a projector 75 mm beside the camera, in steps of 1/8 pixel (Khoshelham &
-Elberink 2012, "Accuracy and Resolution of Kinect Depth Data": steps and random error grow with the square of the distance);
-pixels take the depth of a neighbour half a pixel away (Barron & Malik 2013; Handa et al. 2014, "A Benchmark for RGB-D Visual
-Odometry, 3D Reconstruction and SLAM"; Nguyen et al. 2012, "Modeling Kinect Sensor Noise", measure 0.8 px lateral noise and
-more axial noise at grazing angles); what the projector does not see is a hole.
+Structured light: depth comes from the disparity to a projector 75 mm beside the camera, in steps of 1/8 pixel
+(Khoshelham & Elberink 2012, "Accuracy and Resolution of Kinect Depth Data": steps and random error grow with the
+square of the distance); pixels take the depth of a neighbour half a pixel away (Barron & Malik 2013, "Intrinsic Scene
+Properties from a Single RGB-D Image"; Handa et al. 2014, "A Benchmark for RGB-D Visual Odometry, 3D Reconstruction
+and SLAM"; Nguyen et al. 2012, "Modeling Kinect Sensor Noise", measure 0.8 px of lateral noise, and holes at grazing
+angles); what the projector does not see is a hole.
 
-TrueDepth-like: a dense, smoothed depth map with sub-millimetre noise that neighbouring pixels share (Breitbarth et al. 2019,
-"Measurement accuracy and dependence on external influences of the iPhone X TrueDepth sensor"; Vogt et al. 2021, "Comparison of
-iPad Pro's LiDAR and TrueDepth Capabilities with an Industrial 3D Scanning Solution").
+TrueDepth-like: a dense, smoothed depth map with sub-millimetre noise that neighbouring pixels share (Breitbarth et al.
+2019, "Measurement accuracy and dependence on external influences of the iPhone X TrueDepth sensor"; Vogt et al. 2021,
+"Comparison of iPad Pro's LiDAR and TrueDepth Capabilities with an Industrial 3D Scanning Solution").
 
 Depth is rounded at last to what the sensor's driver stores: whole millimetres for structured light (OpenNI's unit; the
 disparity step at 0.6 m is 1.1 mm), tenths for TrueDepth (its noise must not drown in the rounding).
@@ -35,8 +36,8 @@ LATERAL_NOISE = 0.5
 def add_noise(kind: str, depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> np.ndarray:
     """(h, w) float32 depth, mm, as the sensor would report it; 0 = no measurement.
 
-    depth (h, w): clean depth of any window of the camera's image, mm, 0 = nothing; kind: "structured-light", "truedepth" or
-    "none" (returned as it is). Raises :class:`ParameterError` for another kind.
+    depth (h, w): clean depth of any window of the camera's image, mm, 0 = nothing; kind: "structured-light",
+    "truedepth" or "none" (returned as it is). Raises :class:`ParameterError` for another kind.
     """
     if kind == "none":
         return depth.astype(np.float32)
@@ -70,13 +71,17 @@ def _truedepth(depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> n
     return np.where(hidden | (depth <= 0), 0.0, smooth + size * noise)
 
 
-def _correlated(shape, sigma: float, rng: np.random.Generator) -> np.ndarray:
+def _correlated(shape: tuple[int, int], sigma: float, rng: np.random.Generator) -> np.ndarray:
     """Gaussian noise of unit variance whose neighbours correlate over ``sigma`` pixels."""
-    pad = int(np.ceil(3 * sigma))
-    white = rng.standard_normal((shape[0] + 2 * pad, shape[1] + 2 * pad), np.float32)
-    kernel = cv2.getGaussianKernel(2 * pad + 1, sigma)
-    blurred = cv2.sepFilter2D(white, -1, kernel, kernel)[pad: pad + shape[0], pad: pad + shape[1]]
-    return blurred / float((kernel**2).sum())
+    coarse = max(int(sigma / 2), 1)  # wide noise is made on a coarser grid
+    h, w = (-(-n // coarse) + 1 for n in shape)
+    pad = int(np.ceil(3 * sigma / coarse))
+    white = rng.standard_normal((h + 2 * pad, w + 2 * pad), np.float32)
+    kernel = cv2.getGaussianKernel(2 * pad + 1, sigma / coarse)
+    noise = cv2.sepFilter2D(white, -1, kernel, kernel)[pad: pad + h, pad: pad + w] / float((kernel**2).sum())
+    if coarse > 1:
+        noise = cv2.resize(noise, None, fx=coarse, fy=coarse, interpolation=cv2.INTER_CUBIC)
+    return noise[: shape[0], : shape[1]]
 
 
 def _masked_blur(depth: np.ndarray, sigma: float) -> np.ndarray:
@@ -86,7 +91,8 @@ def _masked_blur(depth: np.ndarray, sigma: float) -> np.ndarray:
     for dv in (-1, 0, 1):
         for du in (-1, 0, 1):
             near = padded[1 + dv: 1 + dv + depth.shape[0], 1 + du: 1 + du + depth.shape[1]]
-            w = np.where(np.abs(near - depth) < 12.0, np.exp(-0.5 * (du * du + dv * dv) / sigma**2), 0).astype(np.float32)
+            bell = np.float32(np.exp(-0.5 * (du * du + dv * dv) / sigma**2))
+            w = bell * (np.abs(near - depth) < 12.0)
             out += w * near
             weight += w
     return out / weight
@@ -95,8 +101,9 @@ def _masked_blur(depth: np.ndarray, sigma: float) -> np.ndarray:
 def _lateral_jitter(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     h, w = depth.shape
     shift = np.round(LATERAL_NOISE * rng.standard_normal((2, h, w), np.float32)).astype(np.int32)
-    v, u = np.mgrid[:h, :w]
-    return depth[np.clip(v + shift[0], 0, h - 1), np.clip(u + shift[1], 0, w - 1)]
+    v = np.clip(np.arange(h, dtype=np.int32)[:, None] + shift[0], 0, h - 1)
+    u = np.clip(np.arange(w, dtype=np.int32) + shift[1], 0, w - 1)
+    return depth.ravel()[v * w + u]
 
 
 def incidence(depth: np.ndarray, camera: Camera) -> np.ndarray:
@@ -110,8 +117,8 @@ def incidence(depth: np.ndarray, camera: Camera) -> np.ndarray:
 def projector_shadow(depth: np.ndarray, camera: Camera) -> np.ndarray:
     """(h, w) bool: seen by the camera, not by the projector ``BASELINE`` mm to its left.
 
-    In a rectified pair the projector sees a point at column u + f b / z; going left to right, a column that does not come out
-    right of all columns before lies behind something nearer.
+    In a rectified pair the projector sees a point at column u + f b / z; going left to right, a column that does not
+    come out right of all columns before lies behind something nearer.
     """
     columns = np.arange(depth.shape[1], dtype=np.float32)
     seen = depth > 0

@@ -2,8 +2,8 @@
 
 Seeds 0 to 99 are for development and tuning; report results on seeds of 1000 and above only.
 
-The skin is a Loop-subdivided surface. The vertices of the tracking mesh lie on it (they are its first V vertices), so that
-vertex i of the truth is vertex i of a tracked mesh, exactly on what the sensor sees.
+The skin is a Loop-subdivided surface. The vertices of the tracking mesh lie on it (they are its first V vertices), so
+that vertex i of the truth is vertex i of a tracked mesh, exactly on what the sensor sees.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ LID_THICKNESS = 0.9
 class Performer:
     """A person who performs for the synthetic sensor; the same seed and model give the same person.
 
-    ``detail`` is the size of the identity detail outside the modes, mm rms; ``variation`` scales how personal the expression
-    units are; ``folds`` switches the folds on. With ``detail=0, variation=0, folds=False`` only the smooth surface, jaw arc,
-    contacts and the paths of the units are left outside the model's span.
+    ``detail`` is the size of the identity detail outside the modes, mm rms; ``variation`` scales how personal the
+    expression units are; ``folds`` switches the folds on. With ``detail=0, variation=0, folds=False`` only the smoother
+    surface, the arc of the jaw and the contacts are left outside the model's span.
 
     Attributes: model; seed; identity (M,); expression_names (E,); neutral (V, 3) mm, head frame; triangles (T, 3);
     surface_triangles (U, 3) of the dense surface; eye_centres (2, 3) and eye_radii (2,), the subject's left eye first.
     """
 
     def __init__(
-        self, seed: int, model: FaceModel | None = None, *, detail: float = 1.1, variation: float = 1.0, folds: bool = True
+        self, seed: int, model: FaceModel | None = None, *, detail: float = 1.1, variation: float = 1.0,
+        folds: bool = True,
     ) -> None:
         self.model = embedded_face_model() if model is None else model
         self.seed = seed
@@ -84,14 +85,17 @@ class Performer:
         rest, n = self._control, len(self._control)
         marks = surface_points(rest, self.model.feature_triangles, self.model.feature_weights)
         self._balls: list[EyeballContact] = [
-            make_eyeball_contact(rest, c, r, LID_THICKNESS) for c, r in zip(self.eye_centres, self.eye_radii, strict=True)
+            make_eyeball_contact(rest, centre, radius, LID_THICKNESS)
+            for centre, radius in zip(self.eye_centres, self.eye_radii, strict=True)
         ]
         loops = boundary_loops(self.triangles, n)
         self._lids: dict[str, Contact] = {}
+        self.lid_loops: list[np.ndarray] = []
         self._lips: list[Contact] = []
         for name, eye in (("Left", marks[14:20]), ("Right", marks[8:14])):
             loop = _nearest_loop(loops, rest, eye.mean(axis=0), 15.0)
             if loop is not None:
+                self.lid_loops.append(loop)
                 near = np.flatnonzero(np.linalg.norm(rest - eye.mean(axis=0), axis=1) < 35.0)
                 self._lids[name] = make_contact(rest, sides(rest, self.triangles, loop), loop, near, 3.5, 0.85)
         self.mouth_loop = _nearest_loop(loops, rest, marks[32:].mean(axis=0), 20.0)
@@ -144,7 +148,7 @@ class Performer:
 
 
 def _nearest_loop(loops: list[np.ndarray], points: np.ndarray, target: np.ndarray, limit: float) -> np.ndarray | None:
-    """The boundary loop whose middle lies within ``limit`` mm of the target, the nearest one; None where there is none."""
+    """The boundary loop whose middle lies nearest to the target, within ``limit`` mm; None where there is none."""
     distances = [np.linalg.norm(points[loop].mean(axis=0) - target) for loop in loops]
     if not distances or min(distances) > limit:
         return None

@@ -1,4 +1,4 @@
-"""What makes a performer a person: identity detail, own expression units, a jaw that turns, combinations that interact."""
+"""What makes a performer a person: identity detail, own expression units, a turning jaw, combinations that interact."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ import numpy as np
 
 from .fields import smooth_field
 
+#: Units that move skin farther than this (mm), such as the opening jaw, vary less in proportion.
+RIGID_REACH = 14.0
+
 #: Pairs of expression units that change each other when active together.
 INTERACTIONS = (
-    ("jawOpen", "mouthSmileLeft"), ("jawOpen", "mouthSmileRight"), ("jawOpen", "mouthPucker"), ("jawOpen", "mouthFunnel"),
+    ("jawOpen", "mouthSmileLeft"), ("jawOpen", "mouthSmileRight"), ("jawOpen", "mouthPucker"),
+    ("jawOpen", "mouthFunnel"),
     ("jawOpen", "mouthStretchLeft"), ("jawOpen", "mouthStretchRight"), ("cheekPuff", "mouthPucker"),
     ("mouthSmileLeft", "mouthSmileRight"), ("browDownLeft", "browInnerUp"), ("browDownRight", "browInnerUp"),
-    ("mouthFrownLeft", "mouthShrugLower"), ("mouthFrownRight", "mouthShrugLower"), ("noseSneerLeft", "mouthUpperUpLeft"),
-    ("noseSneerRight", "mouthUpperUpRight"), ("jawOpen", "jawLeft"), ("jawOpen", "jawRight"),
+    ("mouthFrownLeft", "mouthShrugLower"), ("mouthFrownRight", "mouthShrugLower"),
+    ("noseSneerLeft", "mouthUpperUpLeft"), ("noseSneerRight", "mouthUpperUpRight"),
+    ("jawOpen", "jawLeft"), ("jawOpen", "jawRight"),
 )
 
 
@@ -34,30 +39,33 @@ def personal_units(
 ) -> np.ndarray:
     """(E, V, 3) mm: the person's own expression units, warped from the generic ones (E, V, 3).
 
-    Per unit: a smooth gain (standard deviation 0.18), a smooth rotation of the direction (10 degrees), a strength of its own,
-    and left/right imbalance, since the two sides draw apart. Blinks vary less: lids must close.
+    Per unit: a smooth gain (standard deviation 0.18), a smooth rotation of the direction (10 degrees) and a strength
+    of its own (12 %), left and right drawn apart, so that the face moves unevenly. Eyelids vary less: they must
+    close. So do units that move the skin far: they move bone, which does not bend.
     """
-    out = np.empty_like(units)
+    out = np.zeros_like(units)
     for e, name in enumerate(names):
         lid = name.startswith("eye")
-        scale = variation * (0.3 if lid else 1.0)
-        gain = np.exp(scale * 0.18 * smooth_field(rng, points, 90.0))
-        turn = scale * np.radians(10.0) / np.sqrt(2) * smooth_field(rng, points, 90.0, 3)
+        largest = np.linalg.norm(units[e], axis=1).max(initial=0.0)
+        scale = variation * (0.3 if lid else 1.0) * min(1.0, RIGID_REACH / max(largest, 1e-9))
+        moved = np.flatnonzero(np.abs(units[e]).max(axis=1) > 1e-3)
+        unit = units[e, moved]
+        gain = np.exp(scale * 0.18 * smooth_field(rng, points[moved], 90.0))
+        turn = scale * np.radians(10.0) / np.sqrt(2) * smooth_field(rng, points[moved], 90.0, 3)
         strength = np.exp(scale * rng.normal(0, 0.12))
-        moved = units[e] + np.cross(turn, units[e])
-        length = np.linalg.norm(units[e], axis=1, keepdims=True) / np.maximum(
-            np.linalg.norm(moved, axis=1, keepdims=True), 1e-9
-        )
-        out[e] = strength * gain * length * moved
+        turned = unit + np.cross(turn, unit)
+        length = np.linalg.norm(unit, axis=1, keepdims=True) / np.linalg.norm(turned, axis=1, keepdims=True)
+        out[e, moved] = strength * gain * length * turned
     return out
 
 
 def path_bends(rng: np.random.Generator, points: np.ndarray, units: np.ndarray, size: float = 0.06) -> np.ndarray:
     """(E, V, 3) mm: how far each unit leaves the straight path half-way; ``size`` is a share of the displacement."""
-    out = np.empty_like(units)
+    out = np.zeros_like(units)
     for e in range(len(units)):
-        axis = smooth_field(rng, points, 90.0, 3) / np.sqrt(3)
-        out[e] = size * np.cross(axis, units[e])
+        moved = np.flatnonzero(np.abs(units[e]).max(axis=1) > 1e-3)
+        axis = smooth_field(rng, points[moved], 90.0, 3) / np.sqrt(3)
+        out[e, moved] = size * np.cross(axis, units[e, moved])
     return out
 
 
@@ -95,7 +103,7 @@ def make_interactions(
 class JawHinge:
     """A jaw that opens by turning: the arc that the straight unit leaves out.
 
-    arm (V, 2) mm: y and z of each vertex from the hinge; angle (V,) radians at full activation, from the person's own unit.
+    arm (V, 2) mm: y and z of each vertex from the hinge; angle (V,) radians at full activation, from the own unit.
     """
 
     arm: np.ndarray
@@ -113,7 +121,10 @@ class JawHinge:
 
 
 def make_jaw_hinge(neutral: np.ndarray, unit: np.ndarray) -> JawHinge:
-    """Find the hinge from the jaw-open unit (V, 3): chords of a rotation stand square on the line from their middle to it."""
+    """Find the hinge from the jaw-open unit (V, 3).
+
+    The chord of a rotation stands square on the line from its middle to the axis.
+    """
     chord, middle = unit[:, 1:], neutral[:, 1:] + 0.5 * unit[:, 1:]
     length = np.linalg.norm(chord, axis=1)
     jaw = length > 0.5 * length.max()

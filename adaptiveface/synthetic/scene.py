@@ -13,19 +13,19 @@ SKIN, EYES, MOUTH, TORSO = range(4)
 
 # Rings of the mouth's inside: how far behind the lips (mm), and size against the rim of the lips.
 _MOUTH_RINGS = ((5.0, 1.1), (12.0, 1.1), (18.0, 0.7))
-# Rings from the neck to the shoulders: down (mm), widening in x, widening in z, and how much the body stays behind when the
-# head turns.
+# Rings from the neck to the shoulders: down (mm), widening in x, widening in z, and how much the body stays where it is
+# when the head turns.
 _TORSO_RINGS = (
-    (10.0, 1.0, 1.0, 0.2), (22.0, 1.05, 1.02, 0.5), (34.0, 1.3, 1.08, 0.8), (46.0, 2.1, 1.15, 1.0), (60.0, 2.9, 1.2, 1.0),
-    (85.0, 3.4, 1.25, 1.0), (240.0, 3.6, 1.3, 1.0),
+    (10.0, 1.0, 1.0, 0.2), (22.0, 1.05, 1.02, 0.5), (34.0, 1.3, 1.08, 0.8), (46.0, 2.1, 1.15, 1.0),
+    (60.0, 2.9, 1.2, 1.0), (85.0, 3.4, 1.25, 1.0), (240.0, 3.6, 1.3, 1.0),
 )
 
 
 class Scene:
     """The performer's whole visible surface.
 
-    Attributes: triangles (S, 3); part (n,) int8 part of each vertex; skin: number of dense skin vertices, which come first;
-    eye_directions (Q, 3): unit vectors of the eyeball vertices, for painting the iris.
+    Attributes: triangles (S, 3); part (n,) int8 part of each vertex; skin: number of dense skin vertices, which come
+    first; eye_directions (Q, 3): unit vectors of the eyeball vertices, for painting the iris.
     """
 
     def __init__(self, performer: Performer, base_pose: np.ndarray) -> None:
@@ -34,18 +34,20 @@ class Scene:
         self.skin = len(neutral)
         triangles, parts = [performer.surface_triangles], [np.full(self.skin, SKIN)]
         count = self.skin
-        self.eye_directions, ball = icosphere(3)
+        self.eye_directions, ball = unit_sphere(24, 36)
         for _ in performer.eye_radii:
             triangles.append(ball + count)
             parts.append(np.full(len(self.eye_directions), EYES))
             count += len(self.eye_directions)
-        self._mouth = performer.mouth_loop
+        # The loops of the dense skin: a tube on the coarser rim would leave cracks.
+        loops = boundary_loops(performer.surface_triangles, self.skin)
+        self._mouth = _loop_with(loops, performer.mouth_loop)
         if self._mouth is not None:
             triangles.append(_tube(self._mouth, count, len(_MOUTH_RINGS), cap=True))
             added = len(_MOUTH_RINGS) * len(self._mouth) + 1
             parts.append(np.full(added, MOUTH))
             count += added
-        self._neck = _neck_loop(performer)
+        self._neck = _lowest_loop(loops, neutral)
         if self._neck is not None:
             triangles.append(_tube(self._neck, count, len(_TORSO_RINGS), cap=False))
             parts.append(np.full(len(_TORSO_RINGS) * len(self._neck), TORSO))
@@ -56,7 +58,8 @@ class Scene:
     def vertices(self, skin: np.ndarray, rigid: np.ndarray, gaze: np.ndarray | None = None) -> np.ndarray:
         """(n, 3) mm in the camera frame.
 
-        skin (D, 3): the dense skin, head frame; rigid (4, 4): head to camera; gaze (2, 3, 3): rotations of the eyeballs.
+        skin (D, 3): the dense skin, head frame; rigid (4, 4): head to camera; gaze (2, 3, 3): rotations of the
+        eyeballs.
         """
         in_head = [skin]
         for k, (centre, radius) in enumerate(zip(self.performer.eye_centres, self.performer.eye_radii, strict=True)):
@@ -85,30 +88,49 @@ class Scene:
         return rings
 
 
-def _neck_loop(performer: Performer) -> np.ndarray | None:
-    loops = boundary_loops(performer.triangles, len(performer.neutral))
-    lowest = min(loops, key=lambda loop: performer.neutral[loop, 1].mean(), default=None)
-    if lowest is None or performer.neutral[lowest, 1].mean() > performer.neutral[:, 1].mean() - 40:
+def _loop_with(loops: list[np.ndarray], vertices: np.ndarray | None) -> np.ndarray | None:
+    """The loop that runs through the given vertices."""
+    if vertices is None:
+        return None
+    return next(loop for loop in loops if vertices[0] in loop)
+
+
+def _lowest_loop(loops: list[np.ndarray], points: np.ndarray) -> np.ndarray | None:
+    """The rim of the neck, if the mesh has one."""
+    lowest = min(loops, key=lambda loop: points[loop, 1].mean(), default=None)
+    if lowest is None or points[lowest, 1].mean() > points[:, 1].mean() - 40:
         return None
     return lowest
 
 
 def _tube(loop: np.ndarray, first: int, n_rings: int, cap: bool) -> np.ndarray:
-    """(k, 3) triangles from a rim to ``n_rings`` further rings that start at vertex ``first``, closed by one point."""
+    """(k, 3) triangles from a rim to ``n_rings`` further rings that start at vertex ``first``, closed by one point.
+
+    The rim runs as its mesh lists it (the mesh on its left), which turns the tube's outside to the mesh's outside.
+    """
     n = len(loop)
     rows = np.vstack([loop, first + np.arange(n_rings * n).reshape(n_rings, n)])
-    a, b = rows[:-1].ravel(), np.roll(rows[:-1], -1, axis=1).ravel()
-    c, d = rows[1:].ravel(), np.roll(rows[1:], -1, axis=1).ravel()
-    out = [np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)]
+    following = np.roll(rows, -1, axis=1)
+    a, b, c, d = (x.ravel() for x in (rows[:-1], following[:-1], rows[1:], following[1:]))
+    out = [np.stack([b, a, c], axis=1), np.stack([b, c, d], axis=1)]
     if cap:
-        end = rows[-1]
-        out.append(np.stack([end, np.roll(end, -1), np.full(n, first + n_rings * n)], axis=1))
+        out.append(np.stack([following[-1], rows[-1], np.full(n, first + n_rings * n)], axis=1))
     return np.concatenate(out)
 
 
-def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
-    """Unit sphere: vertices (n, 3) and triangles (t, 3)."""
-    from trimesh.creation import icosphere as make
-
-    ball = make(subdivisions=subdivisions, radius=1.0)
-    return np.asarray(ball.vertices), np.asarray(ball.faces, np.int64)
+def unit_sphere(rings: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) and outward triangles (t, 3) of a unit sphere with its poles on the z axis."""
+    height = np.pi * np.arange(1, rings) / rings
+    round_ = 2 * np.pi * np.arange(segments) / segments
+    ring = np.stack([np.cos(round_), np.sin(round_)], axis=1)
+    body = np.concatenate([np.column_stack([np.sin(h) * ring, np.full(segments, np.cos(h))]) for h in height])
+    vertices = np.concatenate([body, [[0, 0, 1], [0, 0, -1]]])
+    rows = np.arange((rings - 1) * segments).reshape(rings - 1, segments)
+    following = np.roll(rows, -1, axis=1)
+    a, b, c, d = (x.ravel() for x in (rows[:-1], following[:-1], rows[1:], following[1:]))
+    north, south = np.full(segments, len(body)), np.full(segments, len(body) + 1)
+    triangles = [
+        np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1),
+        np.stack([north, rows[0], following[0]], axis=1), np.stack([south, following[-1], rows[-1]], axis=1),
+    ]
+    return vertices, np.concatenate(triangles)

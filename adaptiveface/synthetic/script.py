@@ -9,13 +9,15 @@ import numpy as np
 from ..mesh import rotation_vector_matrix
 from .fields import soft_step
 
-# Gestures as expression units and strengths; a name without Left/Right stands for both sides. The six basic emotions follow
-# the action units of Ekman & Friesen's EMFACS.
+# Gestures as expression units and strengths; a name without Left/Right stands for both sides. The six basic emotions
+# follow the action units of Ekman & Friesen's EMFACS.
 EMOTIONS = {
     "happiness": {"mouthSmile": 0.8, "cheekSquint": 0.7, "eyeSquint": 0.3, "mouthDimple": 0.2},
     "sadness": {"browInnerUp": 0.9, "browDown": 0.3, "mouthFrown": 0.8, "mouthShrugLower": 0.4, "eyeSquint": 0.2},
     "surprise": {"browInnerUp": 0.9, "browOuterUp": 0.9, "eyeWide": 0.9, "jawOpen": 0.5},
-    "fear": {"browInnerUp": 0.8, "browOuterUp": 0.4, "browDown": 0.4, "eyeWide": 0.8, "mouthStretch": 0.8, "jawOpen": 0.2},
+    "fear": {
+        "browInnerUp": 0.8, "browOuterUp": 0.4, "browDown": 0.4, "eyeWide": 0.8, "mouthStretch": 0.8, "jawOpen": 0.2,
+    },
     "anger": {"browDown": 1.0, "eyeSquint": 0.6, "mouthPress": 0.7, "noseSneer": 0.3, "jawForward": 0.2},
     "disgust": {"noseSneer": 0.9, "mouthUpperUp": 0.6, "mouthFrown": 0.4, "browDown": 0.4, "mouthLowerDown": 0.2},
 }
@@ -70,17 +72,22 @@ def unit_vector(gesture: dict[str, float], names: tuple[str, ...]) -> np.ndarray
 def performance(seed: int, names: tuple[str, ...], frames: int = 300) -> np.ndarray:
     """(frames, E) activations in [0, 1] of one performance at 30 frames per second; neutral at both ends.
 
-    The six emotions, twelve gestures and a spoken phrase in an order, strength and mixture drawn from ``seed``, with blinks.
+    The six emotions, twelve gestures and two spoken phrases in an order, strength and mixture drawn from ``seed``,
+    with blinks.
     """
     rng = np.random.default_rng([seed, 0x5C21])
-    items = [("emotion", g) for g in EMOTIONS.values()] + [("gesture", g) for g in GESTURES.values()] + [("speech", {})] * 2
+    items = [("emotion", g) for g in EMOTIONS.values()] + [("gesture", g) for g in GESTURES.values()]
+    items += [("speech", {})] * 2
     lengths = {"emotion": 26.0, "gesture": 16.0, "speech": 42.0}
     scale = (frames - 16) / sum(lengths[kind] for kind, _ in items)
     events, now = [], 4.0
     for k in rng.permutation(len(items)):
         kind, gesture = items[k]
         length = lengths[kind] * scale
-        events += _speech(rng, names, now, length) if kind == "speech" else [_gesture(rng, names, gesture, now, length)]
+        if kind == "speech":
+            events += _speech(rng, names, now, length)
+        else:
+            events.append(_gesture(rng, names, gesture, now, length))
         now += length
     events += _blinks(rng, names, frames)
     time = np.arange(frames, dtype=float)
@@ -92,7 +99,8 @@ def _gesture(rng, names, gesture, start: float, length: float) -> Event:
     """Fills its slot and a little of the next one, so that gestures overlap."""
     strength = rng.uniform(0.75, 1.1) * rng.uniform(0.85, 1.15, len(names))
     onset, release = rng.uniform(0.3, 0.42) * length, rng.uniform(0.35, 0.5) * length
-    return Event(start, onset, max(1.15 * length - onset - release, 0.0), release, strength * unit_vector(gesture, names))
+    hold = max(1.15 * length - onset - release, 0.0)
+    return Event(start, onset, hold, release, strength * unit_vector(gesture, names))
 
 
 def _speech(rng, names, start: float, length: float) -> list[Event]:
@@ -118,8 +126,8 @@ def _blinks(rng, names, frames: int) -> list[Event]:
 class HeadMotion:
     """Smooth head motion over a whole recording; frame numbers count from its first frame.
 
-    During the first ``neutral_frames`` the head turns slowly left, right, up and down (12 degrees yaw, 7 pitch); then it
-    moves freely within 20 degrees yaw, 10 pitch, 8 roll and a few centimetres. ``distance`` mm from the camera.
+    During the first ``neutral_frames`` the head turns slowly left, right, up and down (12 degrees yaw, 7 pitch); then
+    it moves freely within 20 degrees yaw, 10 pitch, 8 roll and a few centimetres. ``distance`` mm from the camera.
     """
 
     seed: int

@@ -31,8 +31,8 @@ OCCLUSION = 10.0
 class GroundTruth:
     """What is true in one frame: V vertices, E expression units.
 
-    vertices (V, 3) mm, camera frame, exactly on the rendered skin; rigid (4, 4) head to camera; activations (E,); features
-    (40, 2) exact pixels; performance: -1 neutral scan, 0 first performance, 1 its repeat, ...
+    vertices (V, 3) mm, camera frame, exactly on the rendered skin; rigid (4, 4) head to camera; activations (E,);
+    features (40, 2) exact pixels; performance: -1 neutral scan, 0 first performance, 1 its repeat, ...
     """
 
     vertices: np.ndarray
@@ -43,22 +43,27 @@ class GroundTruth:
 
 
 class SyntheticSensor:
-    """A repeatable recording of a :class:`Performer`: ``neutral_frames`` of neutral face while the head turns, then the same
-    ``frames`` of expressions ``repeats`` times, with head motion and noise of their own.
+    """A repeatable recording of a :class:`Performer`.
 
-    ``noise``: "structured-light", "truedepth" or "none"; ``feature_noise``: standard deviation of the 2D features, pixels per
-    coordinate; ``colour=False`` leaves the pictures out (faster); ``focal`` px; ``distance`` mm; ``performer`` replaces the one
-    drawn from ``seed`` and ``model``. Frames are a function of (seed, index): any order, as often as wanted.
+    First ``neutral_frames`` of neutral face while the head turns, then the same ``frames`` of expressions ``repeats``
+    times, with head motion and noise of their own. Frames are a function of (seed, index): any order, as often as
+    wanted.
 
-    Attributes: camera, name, fps, depth_scale (units per metre in which the depth is rounded), performer, script (frames, E).
+    ``noise``: "structured-light", "truedepth" or "none"; ``feature_noise``: standard deviation of the 2D features,
+    pixels per coordinate; ``colour=False`` leaves the pictures out (faster); ``focal`` px at 640 pixels of width;
+    ``distance`` mm; ``performer`` replaces the one drawn from ``seed`` and ``model``.
+
+    Attributes: camera, name, fps, depth_scale (units per metre in which the depth is rounded), performer, script
+    (frames, E). Raises :class:`ParameterError` for values that make no sense.
     """
 
     fps = 30.0
 
     def __init__(
-        self, seed: int = 0, noise: str = "structured-light", neutral_frames: int = 40, frames: int = 300, repeats: int = 2,
-        width: int = 640, height: int = 480, feature_noise: float = 0.5, *, colour: bool = True, focal: float = 525.0,
-        distance: float = 600.0, model: FaceModel | None = None, performer: Performer | None = None,
+        self, seed: int = 0, noise: str = "structured-light", neutral_frames: int = 40, frames: int = 300,
+        repeats: int = 2, width: int = 640, height: int = 480, feature_noise: float = 0.5, *, colour: bool = True,
+        focal: float = 525.0, distance: float = 600.0, model: FaceModel | None = None,
+        performer: Performer | None = None,
     ) -> None:
         if noise not in DEPTH_SCALES:
             raise ParameterError(f"noise = {noise!r}: one of {', '.join(DEPTH_SCALES)} is expected")
@@ -68,12 +73,13 @@ class SyntheticSensor:
         self.neutral_frames, self.frames, self.repeats = neutral_frames, frames, repeats
         self.name = f"synthetic performer {seed}, {noise} noise"
         self.depth_scale = DEPTH_SCALES[noise]
-        self.camera = Camera(width, height, focal * width / 640, focal * width / 640, (width - 1) / 2, (height - 1) / 2)
+        f = focal * width / 640
+        self.camera = Camera(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
         self.performer = Performer(seed, model) if performer is None else performer
         self.script = performance(seed, self.performer.expression_names, frames)
         self._motion = HeadMotion(seed, neutral_frames, self.fps, distance)
         self._scene = Scene(self.performer, self._motion.pose(0))
-        self._painter = Painter(self._scene, seed) if colour else None
+        self._painter = Painter(self._scene, seed, self.camera) if colour else None
         self._feature_drift = _drift(np.random.default_rng([seed, 0xD21F]))
         # The ground truth of a frame is mostly asked for right after the frame.
         self._skin = lru_cache(maxsize=2)(self._deform)
@@ -97,10 +103,11 @@ class SyntheticSensor:
         truth = self.ground_truth(index)
         vertices = self._scene.vertices(self._skin(index), truth.rigid, self._gaze(truth.activations))
         window = covering_window(self.camera, vertices, margin=2)
-        hits = ray_cast(self.camera, vertices, self._scene.triangles, window)
+        hits = ray_cast(self.camera, vertices, self._scene.triangles, window, cull=True)
         u0, v0, u1, v1 = window
         depth = np.zeros((self.camera.height, self.camera.width), np.float32)
-        depth[v0:v1, u0:u1] = add_noise(self.noise, hits.depth, self.camera, np.random.default_rng([self.seed, index, 1]))
+        rng = np.random.default_rng([self.seed, index, 1])
+        depth[v0:v1, u0:u1] = add_noise(self.noise, hits.depth, self.camera, rng)
         colour = None
         if self._painter is not None:
             colour = self._painter.paint(hits, vertices, self.camera, np.random.default_rng([self.seed, index, 2]))
@@ -135,7 +142,8 @@ class SyntheticSensor:
     def _observe(self, truth: GroundTruth, hits: Hits, index: int) -> Features2D:
         """White noise (80 % of the variance) and a slow drift; hidden features are NaN, grazing ones less certain."""
         white = np.random.default_rng([self.seed, index, 3]).standard_normal((40, 2))
-        pixels = truth.features + self.feature_noise * (np.sqrt(0.8) * white + np.sqrt(0.2) * self._feature_drift(index))
+        error = np.sqrt(0.8) * white + np.sqrt(0.2) * self._feature_drift(index)
+        pixels = truth.features + self.feature_noise * error
         u0, v0, u1, v1 = hits.window
         at = np.round(truth.features).astype(int) - [u0, v0]
         inside = (at >= 0).all(axis=1) & (at[:, 0] < u1 - u0) & (at[:, 1] < v1 - v0)

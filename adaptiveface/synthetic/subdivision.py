@@ -11,12 +11,13 @@ from ..mesh import edges
 def loop_subdivision(triangles: np.ndarray, n_vertices: int) -> tuple[sp.csr_matrix, np.ndarray]:
     """One step of Loop subdivision (Loop 1987; boundary rules and vertex weights as in Zorin et al. 2000).
 
-    triangles (T, 3) over V vertices -> matrix (V + E, V), whose first V rows are the smoothed old vertices and the other
-    E rows the edge points, and the (4T, 3) triangles over them.
+    triangles (T, 3) over V vertices -> matrix (V + E, V), whose first V rows are the smoothed old vertices and the
+    other E rows the edge points, and the (4T, 3) triangles over them.
     """
     pairs = edges(triangles)
     n_edges = len(pairs)
-    corner_edges = np.stack([_edge_numbers(pairs, triangles[:, [k, (k + 1) % 3]], n_vertices) for k in range(3)], axis=1)
+    sides = (triangles[:, [k, (k + 1) % 3]] for k in range(3))
+    corner_edges = np.stack([_edge_numbers(pairs, side, n_vertices) for side in sides], axis=1)
     uses = np.bincount(corner_edges.ravel(), minlength=n_edges)
     boundary = uses == 1
     edge_rows = _edge_points(pairs, triangles, corner_edges, boundary, n_vertices)
