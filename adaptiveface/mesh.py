@@ -5,6 +5,7 @@ Vertices are (N, 3) float mm, triangles (T, 3) int, counter-clockwise seen from 
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import scipy.sparse as sp
 
@@ -16,12 +17,30 @@ def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N, 3) unit normals, the area-weighted mean over the incident triangles; zero for unused vertices."""
-    face = triangle_normals(vertices, triangles)
-    normals = np.stack(
-        [np.bincount(triangles.ravel(), np.repeat(face[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    """(N, 3) unit normals, the area-weighted mean over the incident triangles; zero for unused vertices.
+
+    A kernel, since meshes change every frame: the sum over k of :func:`triangle_normals` at ``triangles[:, k]``, normalised.
+    """
+    normals = np.zeros((len(vertices), 3))
+    _accumulate_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int64), normals)
+    return normals
+
+
+@numba.njit(cache=True)
+def _accumulate_normals(vertices, triangles, normals):
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for i in (a, b, c):
+            normals[i, 0] += nx
+            normals[i, 1] += ny
+            normals[i, 2] += nz
+    for i in range(len(normals)):
+        length = np.sqrt(normals[i, 0] ** 2 + normals[i, 1] ** 2 + normals[i, 2] ** 2)
+        if length > 0.0:
+            normals[i] /= length
 
 
 def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -84,8 +84,10 @@ class RigidParameters(_Stage):
     prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200)
     lost: float = parameter(3.0, "mean residual above which the track counts as lost (the paper's stop rule)", unit="mm",
                             section="4.1", low=0.1, high=50)
-    iterations: int = parameter(6, "fixed number of ICP steps; the paper's 3 mm stop rule ends after one", section="4.1",
+    iterations: int = parameter(8, "most ICP steps; the paper's 3 mm stop rule would end after one", section="4.1",
                                 low=1, high=50)
+    converged: float = parameter(0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0,
+                                 high=10)
     min_matches: int = parameter(300, "fewer correspondences than this and the track is lost", low=6, high=100000)
     stiff: float = parameter(4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000)
     relocate: float = parameter(6.0, "median reprojection error of the 2D features that asks for re-alignment", unit="px",
@@ -129,7 +131,7 @@ class LaplacianParameters(_Stage):
                           paper=100.0)
     feature_weight: float = parameter(0.09, "weight of a 2D feature; the paper's rows amount to f^2, a hard constraint",
                                       unit="1/mm^2", section="4.3", low=0, high=1e6, log=True, paper=2.8e5)
-    steps: int = parameter(2, "preconditioned conjugate-gradient steps of the depth deformation", low=1, high=50)
+    steps: int = parameter(1, "preconditioned conjugate-gradient steps of the depth deformation", low=1, high=50)
     prune: float = parameter(10.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
     final_w2: float = parameter(5.0, "smoothing of the final deformation, which sees the 2D features only", unit="1/mm^2",
                                 section="4.4", low=1e-4, high=1e6, log=True, paper=100.0)

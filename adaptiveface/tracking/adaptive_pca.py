@@ -30,13 +30,18 @@ def anchor_shapes(blendshapes: np.ndarray, tolerance: float = 1e-6) -> tuple[np.
 
 
 def orthonormalise(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """QR factorisation basis = Q R through Cholesky factors, twice for accuracy (CholeskyQR2, Yamamoto et al. 2015)."""
-    triangle = np.eye(basis.shape[1])
-    for _ in range(2):
-        r = np.linalg.cholesky(basis.T @ basis).T
-        basis = basis @ np.linalg.inv(r)
-        triangle = r @ triangle
-    return basis, triangle
+    """QR factorisation basis = Q R through a Cholesky factor of the Gram matrix: cheap for tall matrices.
+
+    Its error grows with the squared condition number, so ill-conditioned bases get a second pass (CholeskyQR2, Yamamoto
+    et al. 2015). Returns Q (3n, k), R (k, k).
+    """
+    triangle = np.linalg.cholesky(basis.T @ basis).T
+    basis = basis @ np.linalg.inv(triangle)
+    scale = np.abs(np.diag(triangle))
+    if scale.max() < 30.0 * scale.min():
+        return basis, triangle
+    again = np.linalg.cholesky(basis.T @ basis).T
+    return basis @ np.linalg.inv(again), again @ triangle
 
 
 def e_step(correctives: np.ndarray, samples: np.ndarray) -> np.ndarray:
@@ -121,11 +126,15 @@ class AdaptiveModel:
         state = SampleState.LEARNED if energy > self.parameters.valid_min else SampleState.IN_ANCHOR_SPACE
         return state, residual, in_anchors
 
-    def learn(self, deformation: np.ndarray, displacement: np.ndarray) -> SampleState:
-        """One incremental update from v2 - v1 and v2 - b0, both (3n,); only valid samples change the model."""
-        state, residual, _ = self.classify(displacement)
+    def learn(self, displacement: np.ndarray) -> SampleState:
+        """One incremental update from v2 - b0 (3n,) or, equally, from v2 - v1; only valid samples change the model.
+
+        The two differ by v1 - b0, which the anchors span. For the continuation outside the frontal region pass v2 - v1:
+        it vanishes at the border, so that its residual there is minus its anchor part.
+        """
+        state, residual, in_anchors = self.classify(displacement)
         if state is SampleState.LEARNED and self.parameters.K:
-            self._store(residual, self.anchors.T @ deformation)
+            self._store(residual, in_anchors)
             if self._start_up() and self._ready():
                 self._update()
         return state
@@ -172,7 +181,7 @@ class AdaptiveModel:
         if np.linalg.matrix_rank(coordinates, tol=1e-6 * np.sqrt(np.trace(gram))) < coordinates.shape[1]:
             return
         mix = em_in_sample_space(gram, coordinates.T, self.parameters.em_steps)
-        correctives = (mix.T.astype(np.float32) @ self._samples[: self.count]).T.astype(float)
+        correctives = (mix.T.astype(np.float32) @ self._samples[: self.count]).astype(float).T
         # Samples are orthogonal to the anchors up to their float32 storage; make it exact.
         correctives -= self.anchors @ (self.anchors.T @ correctives)
         self.correctives, triangle = orthonormalise(correctives)

@@ -71,6 +71,7 @@ class BlendshapeFit:
         self._b0 = np.ascontiguousarray(self.neutral[self.depth_vertices])
         self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0))
         self._b_flat = self._b.reshape(-1, count)
+        self._middle = self._b0.mean(axis=0)
         corners = actor.feature_triangles
         self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[corners])
         self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, corners])
@@ -105,7 +106,7 @@ class BlendshapeFit:
         equations = NormalEquations(np.zeros((6 + count, 6 + count)), np.zeros(6 + count))
         current = np.concatenate([np.zeros(6), x])
         points = transform_points(pose, self._b0 + (self._b_flat @ x).reshape(-1, 3))
-        centre = points.mean(axis=0)
+        centre = transform_points(pose, self._middle)
         matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, p.prune)
         matched = matches.weights > 0
         jacobian = _depth_jacobian(points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre)

@@ -12,6 +12,10 @@ from ..parameters import RigidParameters
 from .depth_surface import Correspondences, DepthSurface, find_correspondences
 
 
+#: A rotation moves the face by about this much per radian, mm.
+FACE_RADIUS = 100.0
+
+
 @dataclass(frozen=True)
 class RigidFit:
     """``pose`` (4, 4) head to camera; ``correspondences`` at that pose; ``residual`` their mean distance, mm."""
@@ -69,7 +73,7 @@ def point_to_plane_step(points: np.ndarray, correspondences: Correspondences, ce
 
 
 class RigidTracker:
-    """Aligns a head-frame shape to the depth map with a fixed number of ICP steps.
+    """Aligns a head-frame shape to the depth map by a few ICP steps, until they move it no more.
 
     ``vertex_weights`` (n,): how much each vertex counts; those that move least in expressions should lead.
     """
@@ -80,13 +84,16 @@ class RigidTracker:
 
     def align(self, surface: DepthSurface, shape: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> RigidFit:
         """Refine ``pose`` for a shape (n, 3) with unit normals (n, 3) in the head frame."""
-        reach = self.parameters.prune
+        reach, middle = self.parameters.prune, shape.mean(axis=0)
         for _ in range(self.parameters.iterations):
             points, turned = transform_points(pose, shape), normals @ pose[:3, :3].T
             matches = find_correspondences(surface, points, turned, reach)
             if matches.count < self.parameters.min_matches:
                 return RigidFit(pose, matches, float("inf"))
-            centre = points.mean(axis=0)
-            pose = apply_rigid_update(pose, point_to_plane_step(points, matches, centre, self.vertex_weights), centre)
+            centre = transform_points(pose, middle)
+            step = point_to_plane_step(points, matches, centre, self.vertex_weights)
+            pose = apply_rigid_update(pose, step, centre)
+            if FACE_RADIUS * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) < self.parameters.converged:
+                break
         matches = find_correspondences(surface, transform_points(pose, shape), normals @ pose[:3, :3].T, reach)
         return RigidFit(pose, matches, matches.mean_distance)

@@ -39,6 +39,7 @@ class FaceTracker:
         self.deformation = LaplacianDeformation(*rigging, p.laplacian.w1, p.laplacian.w2)
         self.final_deformation = LaplacianDeformation(*rigging, 0.0, p.laplacian.final_w2)
         self._frontal = np.flatnonzero(frontal)
+        self._outside = np.flatnonzero(~frontal)
         self._may_match = actor.depth_valid[frontal]
         local = np.cumsum(frontal) - 1
         self._frontal_triangles = local[triangles[frontal[triangles].all(axis=1)]]
@@ -63,7 +64,8 @@ class FaceTracker:
     def track(self, frame: RgbdFrame) -> TrackedFrame:
         """Section 4 for one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
         ms = dict.fromkeys(STAGE_NAMES, 0.0)
-        normals = self._normals()
+        with _timed(ms, "preprocess"):
+            normals = self._normals()
         rigid, surface = self._find_head(frame, normals, ms)
         if rigid is None:
             self.forget()
@@ -83,7 +85,7 @@ class FaceTracker:
         with _timed(ms, "final_deformation"):  # section 4.4
             v4 = self._displace(v3, self._deform_to_features(frame, pose, v3))
         with _timed(ms, "adaptive_pca"):  # section 5
-            state = self._learn(v2, deformation, coverage)
+            state = self._learn(deformation, coverage)
         with _timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
 
@@ -160,14 +162,15 @@ class FaceTracker:
         frontal, outside = self.model.project(self._displacement(v2))
         v3 = self.actor.neutral.copy()
         v3[self._frontal] += frontal.reshape(-1, 3)
-        v3[~self.actor.frontal] += outside.reshape(-1, 3)
+        v3[self._outside] += outside.reshape(-1, 3)
         return v3
 
-    def _learn(self, v2: np.ndarray, deformation: np.ndarray, coverage: float) -> SampleState:
-        p, displacement = self.parameters.adaptive_pca, self._displacement(v2)
-        if not p.learn or coverage < p.min_coverage:
-            return self.model.classify(displacement)[0] if not p.learn else SampleState.OUTLIER
-        return self.model.learn(deformation.ravel(), displacement)
+    def _learn(self, deformation: np.ndarray, coverage: float) -> SampleState:
+        """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""
+        p = self.parameters.adaptive_pca
+        if coverage < p.min_coverage:
+            return SampleState.OUTLIER
+        return self.model.learn(deformation.ravel()) if p.learn else self.model.classify(deformation.ravel())[0]
 
     def _displacement(self, vertices: np.ndarray) -> np.ndarray:
         return (vertices[self._frontal] - self.actor.neutral[self._frontal]).ravel()
