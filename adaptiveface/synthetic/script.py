@@ -79,7 +79,7 @@ def performance(seed: int, names: tuple[str, ...], frames: int = 300) -> np.ndar
     items = [("emotion", g) for g in EMOTIONS.values()] + [("gesture", g) for g in GESTURES.values()]
     items += [("speech", {})] * 2
     lengths = {"emotion": 26.0, "gesture": 16.0, "speech": 42.0}
-    scale = (frames - 16) / sum(lengths[kind] for kind, _ in items)
+    scale = max(frames - 16, 0.25 * frames) / sum(lengths[kind] for kind, _ in items)
     events, now = [], 4.0
     for k in rng.permutation(len(items)):
         kind, gesture = items[k]
