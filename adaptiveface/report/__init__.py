@@ -1,0 +1,86 @@
+"""The report of a run: one self-contained ``report.html`` with pictures, animation, learning, errors and timings.
+
+It needs no network, no display and no script; everything is inline, and it follows the reader's light or dark theme.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..evaluation import ErrorCollector, Evaluation, GroundTruth
+from . import page, scenes, sections
+from .context import Context, time_spans
+from .record import RunRecord
+
+#: At most this many frames are scored for the report when no evaluation is handed over; they are spread over the run.
+MAX_SCORED = 120
+
+
+def write_report(
+    result, source, actor, out_dir: str | os.PathLike, truth=None, *, evaluation: Evaluation | None = None,
+    correctives: np.ndarray | None = None, parameters=None,
+) -> Path:  # fmt: skip
+    """Write ``out_dir/report.html`` and return its path.
+
+    result: the tracked frames (an iterable of ``TrackedFrame``, or an object with the arrays of ``result.npz``);
+    source: where they came from (``read(index)``, ``name``), or None for a report without pictures of the input;
+    actor: the rig; truth: a sensor with ``ground_truth(i)``, the path of a ``ground_truth.npz``, or None; evaluation:
+    errors already scored (otherwise up to ``MAX_SCORED`` frames are scored here); correctives (K, N, 3) or (3n, K): the
+    corrective shapes at the end, over all or over the frontal vertices; parameters: of the run, where the result does
+    not say.
+
+    Raises :class:`~adaptiveface.errors.AdaptiveFaceError` for an empty run, and its subclass ``FileFormatError`` for a
+    truth that cannot be read.
+    """
+    record = RunRecord.of(result, parameters)
+    truth = None if truth is None else GroundTruth.of(truth)
+    note = ""
+    if evaluation is None and truth is not None and record.tracked.any():
+        evaluation, step = score(record, truth, actor)
+        note = f"Scored here: every {_ordinal(step)} frame." if step > 1 else ""
+    context = Context(record, source, actor, truth, evaluation, time_spans(record, evaluation))
+    name = str(getattr(source, "name", "a performance"))
+    body = [
+        sections.heading(name), scenes.preview(context), sections.tiles(context), sections.losses(context),
+        scenes.tracked_frames(context), scenes.rig(context), sections.coefficients(context),
+        sections.learning(context, _whole_mesh(correctives, actor)), sections.errors(context, note),
+        sections.timings(context), sections.parameters(context), sections.footer(),
+    ]  # fmt: skip
+    path = Path(out_dir) / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8")
+    return path
+
+
+def score(record: RunRecord, truth: GroundTruth, actor) -> tuple[Evaluation, int]:
+    """Errors of v1 and v4 at every ``step``-th frame of the record; returns (evaluation, step)."""
+    step = -(-len(record) // MAX_SCORED)
+    collector = ErrorCollector(truth, actor, ("v1", "v4"))
+    for k in range(0, len(record), step):
+        if record.tracked[k]:
+            meshes = {"v1": record.initial_vertices(k, actor), "v4": record.vertices[k].astype(float)}
+            collector.score(
+                int(record.index[k]), record.rigid[k], meshes, record.anchor_distance[k], record.adaptive_distance[k]
+            )
+        else:
+            collector.lose(int(record.index[k]))
+    return collector.finish(), step
+
+
+def _whole_mesh(correctives: np.ndarray | None, actor) -> np.ndarray | None:
+    """(K, N, 3) correctives from the tracker's (3n, K) columns over the n frontal vertices, or as they are."""
+    if correctives is None or correctives.ndim == 3:
+        return correctives
+    out = np.zeros((correctives.shape[1], len(actor.neutral), 3))
+    out[:, actor.frontal] = correctives.T.reshape(len(out), int(actor.frontal.sum()), 3)
+    return out
+
+
+def _ordinal(number: int) -> str:
+    return {2: "second", 3: "third"}.get(number, f"{number}th")
+
+
+__all__ = ["MAX_SCORED", "RunRecord", "write_report"]

@@ -1,0 +1,184 @@
+"""The report's charts as inline SVG. Colours: Okabe & Ito (2008), safe for colour-blind readers; maps: cividis."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..bench.paper import PAPER_MS
+from ..tracking.types import SampleState
+from .context import Spans
+from .page import INK, inline_svg
+
+BLUE, ORANGE, GREEN, VERMILLION, SKY, PURPLE, GREY = (
+    "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#8a94a3",
+)  # fmt: skip
+STATE_COLOURS = {
+    SampleState.UNTRACKED: (GREY, "not tracked"),
+    SampleState.IN_ANCHOR_SPACE: (SKY, "in the anchor space"),
+    SampleState.LEARNED: (GREEN, "learned"),
+    SampleState.OUTLIER: (VERMILLION, "outlier"),
+}
+
+_STYLE = {
+    "svg.fonttype": "none", "svg.hashsalt": "report", "font.family": "sans-serif", "font.size": 10,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": INK, "axes.labelcolor": INK,
+    "axes.grid": True, "grid.color": GREY, "grid.alpha": 0.25, "grid.linewidth": 0.6, "axes.axisbelow": True,
+    "xtick.color": INK, "ytick.color": INK, "text.color": INK, "legend.frameon": False, "axes.facecolor": "none",
+    "axes.linewidth": 0.7, "lines.linewidth": 1.3, "legend.fontsize": 9, "axes.titlesize": 10,
+    "axes.titlelocation": "left", "image.composite_image": False,
+}  # fmt: skip
+
+
+def _figure(height: float, rows: int = 1, ratios: Sequence[float] | None = None, width: float = 9.6):
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="none")
+    axes = figure.subplots(rows, 1, sharex=rows > 1, squeeze=False, height_ratios=ratios or [1] * rows)[:, 0]
+    return figure, axes
+
+
+def _svg(figure: Figure, name: str) -> str:
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None}, facecolor="none")
+    return inline_svg(stream.getvalue(), name)
+
+
+def _mark_spans(axis, spans: Spans) -> None:
+    for start, end, name in spans:
+        if start > axis.get_xlim()[0]:
+            axis.axvline(start, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+        axis.text(
+            (start + end) / 2, 1.01, name, transform=axis.get_xaxis_transform(), ha="center", va="bottom", fontsize=9,
+            color=GREY,
+        )  # fmt: skip
+
+
+def _break_at_gaps(values: np.ndarray, tracked: np.ndarray) -> np.ndarray:
+    return np.where(tracked, values, np.nan)
+
+
+def _top(values, default: float = 1.0) -> float:
+    """A fixed upper end for an axis: the largest of the values without the wildest half percent, and a margin."""
+    finite = np.asarray(values)[np.isfinite(values)]
+    return float(np.percentile(finite, 99.8)) * 1.15 + 1e-6 if finite.size else default
+
+
+def stage_timings(record) -> str:
+    """Median of every stage as a bar, its 95th percentile as a whisker, the paper's figure as a diamond; ms."""
+    with matplotlib.rc_context(_STYLE):
+        names, times = list(record.stage_names), record.stage_ms
+        keep = [k for k in range(len(names)) if np.isfinite(times[:, k]).any()]
+        median = np.array([np.nanmedian(times[:, k]) for k in keep])
+        p95 = np.array([np.nanpercentile(times[:, k], 95) for k in keep])
+        figure, (axis,) = _figure(0.34 * len(keep) + 1.0)
+        y = np.arange(len(keep))
+        axis.barh(y, median, height=0.55, color=BLUE, label="median")
+        axis.hlines(y, median, p95, color=ORANGE, linewidth=2, label="to the 95th percentile")
+        paper = [(row, PAPER_MS[names[k]]) for row, k in enumerate(keep) if names[k] in PAPER_MS]
+        if paper:
+            rows, values = zip(*paper, strict=True)
+            axis.plot(values, rows, "D", color=VERMILLION, markersize=5, label="paper (4 cores, 2012)")
+        axis.set_yticks(y, [names[k].replace("_", " ") for k in keep])
+        axis.set_ylim(len(keep) - 0.5, -0.6)
+        axis.set_xlim(left=0)
+        axis.set_xlabel("ms per frame")
+        axis.grid(axis="y", visible=False)
+        axis.legend(loc="lower right")
+        return _svg(figure, "timings")
+
+
+def coefficients(record, names: Sequence[str], spans: Spans = ()) -> str:
+    """Every coefficient over time as one heat map, on the fixed range of its bounds."""
+    with matplotlib.rc_context(_STYLE):
+        count = record.coefficients.shape[1]
+        limits = record.parameters.blendshapes
+        figure, (axis,) = _figure(0.17 * count + 1.1)
+        values = np.where(record.tracked[:, None], record.coefficients, np.nan).T
+        t = record.timestamps
+        step = (t[-1] - t[0]) / max(len(t) - 1, 1) or 1 / 30
+        picture = axis.imshow(
+            values, aspect="auto", cmap="cividis", vmin=limits.lower, vmax=limits.upper, interpolation="nearest",
+            extent=(t[0] - step / 2, t[-1] + step / 2, count - 0.5, -0.5),
+        )  # fmt: skip
+        axis.set_yticks(range(count), list(names)[:count], fontsize=7.5)
+        axis.set_xlabel("time, s")
+        axis.grid(visible=False)
+        bar = figure.colorbar(picture, ax=axis, fraction=0.025, pad=0.01, aspect=35)
+        bar.outline.set_visible(False)
+        bar.set_label("coefficient", fontsize=9)
+        _mark_spans(axis, spans)
+        return _svg(figure, "coefficients")
+
+
+def adaptation(record, spans: Spans = ()) -> str:
+    """Figure 11: mean distance of v4 from the anchor space and from the whole adaptive space, mm."""
+    with matplotlib.rc_context(_STYLE):
+        figure, (axis,) = _figure(2.9)
+        t = record.timestamps
+        anchor = _break_at_gaps(record.anchor_distance, record.tracked)
+        adaptive = _break_at_gaps(record.adaptive_distance, record.tracked)
+        axis.plot(t, anchor, color=GREEN, label="to the anchor space (initial blendshapes)")
+        axis.plot(t, adaptive, color=BLUE, label="to the adaptive space (with the learned correctives)")
+        axis.set_ylim(0, _top(np.concatenate([anchor, adaptive])) * 1.2)
+        axis.set_xlim(t[0], t[-1] + 1e-6)
+        axis.set_ylabel("distance of v4, mm")
+        axis.set_xlabel("time, s")
+        axis.legend(loc="upper left", ncols=2)
+        _mark_spans(axis, spans)
+        return _svg(figure, "adaptation")
+
+
+def learning(record, spans: Spans = ()) -> str:
+    """What became of each frame as a training sample, and the number of PCA updates so far."""
+    with matplotlib.rc_context(_STYLE):
+        figure, (states, updates) = _figure(2.9, rows=2, ratios=(1, 2.4))
+        t, state = record.timestamps, np.asarray(record.sample_state)
+        for value, (colour, name) in STATE_COLOURS.items():
+            times = t[state == value]
+            label = f"{name} ({len(times)})"
+            states.eventplot([times], lineoffsets=0, linelengths=1, linewidths=1.2, colors=[colour], label=label)
+        states.set_yticks([])
+        states.set_ylim(-0.5, 0.5)
+        states.grid(visible=False)
+        states.spines["left"].set_visible(False)
+        states.legend(loc="lower left", bbox_to_anchor=(0, 1.12), ncols=4, borderaxespad=0, handlelength=1.2)
+        updates.step(t, record.corrective_updates, where="post", color=PURPLE)
+        updates.set_ylabel("PCA updates so far")
+        updates.set_xlabel("time, s")
+        updates.set_ylim(bottom=0)
+        updates.set_xlim(t[0], t[-1] + 1e-6)
+        for start, *_ in spans[1:]:
+            updates.axvline(start, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+        return _svg(figure, "learning")
+
+
+def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> str:
+    """Surface error and motion error of the first and the last stage over time, mm; timestamps (F,) of its frames."""
+    with matplotlib.rc_context(_STYLE):
+        figure, (surface, motion) = _figure(4.6, rows=2)
+        stages = [(evaluation.stages[-1], BLUE)]
+        if len(evaluation.stages) > 1:
+            stages.insert(0, (evaluation.stages[0], ORANGE))
+        tops = [], []
+        for stage, colour in stages:
+            p95 = np.percentile(evaluation.surface[evaluation.stages.index(stage)], 95, axis=1)
+            mean = evaluation.motion_length(stage).mean(axis=1)
+            surface.plot(timestamps, p95, color=colour, label=f"{stage}, 95th percentile")
+            motion.plot(timestamps, mean, color=colour, label=f"{stage}, mean")
+            tops[0].append(_top(p95))
+            tops[1].append(_top(mean))
+        moved = evaluation.motion.mean(axis=1)
+        motion.plot(timestamps, moved, color=GREY, linewidth=0.9, label="true motion, mean (a face that never moves)")
+        surface.set_ylabel("from the true surface, mm")
+        motion.set_ylabel("error of motion, mm")
+        surface.set_ylim(0, max(tops[0]) * 1.15)
+        motion.set_ylim(0, max(*tops[1], _top(moved)) * 1.15)
+        motion.set_xlabel("time, s")
+        motion.set_xlim(timestamps[0], timestamps[-1] + 1e-6)
+        for axis in (surface, motion):
+            axis.legend(loc="upper left", ncols=3)
+        _mark_spans(surface, spans)
+        return _svg(figure, "errors")

@@ -1,0 +1,168 @@
+"""Pictures of the tracked face: overlays on the colour image, heat maps, portraits of the rig. Ray-cast, no OpenGL."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..camera import Camera
+from ..face_model import embedded_face_model
+from ..frame import FEATURE_REGIONS
+from ..mesh import rigid_alignment, transform_points
+from ..rendering import covering_window, heat_map, ray_cast, shade
+
+SKIN = (205, 170, 150)
+_WIRE = np.array([86, 220, 233], float)
+_EYE = (238, 234, 228)
+_MOUTH = (58, 34, 34)
+
+
+@dataclass(frozen=True)
+class View:
+    """A magnified window of an image: ``camera`` of the magnified one, ``window`` u0, v0, u1, v1 in the original."""
+
+    camera: Camera
+    window: tuple[int, int, int, int]
+
+    def crop(self, colour: np.ndarray | None, depth: np.ndarray) -> np.ndarray:
+        """(h, w, 3) uint8 magnified input: the colour image, or a grey picture of the depth where there is none."""
+        u0, v0, u1, v1 = self.window
+        source = depth_picture(depth) if colour is None else colour
+        size = (self.camera.width, self.camera.height)
+        return cv2.resize(np.ascontiguousarray(source[v0:v1, u0:u1]), size, interpolation=cv2.INTER_CUBIC)
+
+
+def face_view(camera: Camera, meshes: np.ndarray, width: int, aspect: float = 1.25) -> View:
+    """The view that holds ``meshes`` (F, n, 3), camera frame, ``width`` pixels wide and ``aspect`` times as high."""
+    u0, v0, u1, v1 = covering_window(camera, meshes.reshape(-1, 3), margin=14)
+    w = min(max(u1 - u0, (v1 - v0) / aspect, 16), camera.width, camera.height / aspect)
+    h = w * aspect
+    u0 = int(np.clip((u0 + u1 - w) / 2, 0, camera.width - w))
+    v0 = int(np.clip((v0 + v1 - h) / 2, 0, camera.height - h))
+    u1, v1 = int(u0 + w), int(v0 + h)
+    cropped = Camera(u1 - u0, v1 - v0, camera.fx, camera.fy, camera.cx - u0, camera.cy - v0)
+    return View(_magnified(cropped, width / (u1 - u0)), (u0, v0, u1, v1))
+
+
+def _magnified(camera: Camera, times: float) -> Camera:
+    """The same view with ``times`` as many pixels; pixel centres stay at integers."""
+    cx, cy = (camera.cx + 0.5) * times - 0.5, (camera.cy + 0.5) * times - 0.5
+    size = round(camera.width * times), round(camera.height * times)
+    return Camera(*size, camera.fx * times, camera.fy * times, cx, cy)
+
+
+def depth_picture(depth: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8: near is light, far is dark, no measurement is black."""
+    seen = depth > 0
+    if not seen.any():
+        return np.zeros((*depth.shape, 3), np.uint8)
+    near, far = np.percentile(depth[seen], [1, 80])
+    grey = np.where(seen, 235 - 180 * np.clip((depth - near) / max(far - near, 1), 0, 1), 0)
+    return np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
+
+
+def frontal_triangles(actor) -> np.ndarray:
+    """(t, 3) triangles whose three vertices deform."""
+    return actor.triangles[actor.frontal[actor.triangles].all(axis=1)]
+
+
+def wire_overlay(background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The mesh's edges over an image (h, w, 3); vertices (N, 3) in the camera frame."""
+    camera, times = view.camera, 3
+    hits = ray_cast(_magnified(camera, times), vertices, triangles, cull=True)
+    # Close to an edge one barycentric weight is small; divided by its change per pixel it is the distance in pixels.
+    smallest = hits.barycentric.min(axis=2)
+    down, right = np.abs(np.diff(smallest, axis=0)), np.abs(np.diff(smallest, axis=1))
+    change = np.zeros_like(smallest)
+    for steps, near, far in ((down, np.s_[:-1], np.s_[1:]), (right, np.s_[:, :-1], np.s_[:, 1:])):
+        change[near] = np.maximum(change[near], steps)
+        change[far] = np.maximum(change[far], steps)
+    lines = np.where(hits.mask, np.clip(1.6 - smallest / np.maximum(change, 1e-6), 0, 1), 0)
+    strength = cv2.resize(lines, (camera.width, camera.height), interpolation=cv2.INTER_AREA)[..., None] * 0.8
+    return (background * (1 - strength) + _WIRE * strength).astype(np.uint8)
+
+
+def shaded_overlay(background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The shaded mesh over an image (h, w, 3)."""
+    hits = ray_cast(view.camera, vertices, triangles, cull=True)
+    return shade(hits, vertices, triangles, SKIN, camera=view.camera, background=background)
+
+
+def heat_overlay(
+    background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray, values: np.ndarray, limits
+) -> np.ndarray:
+    """The shaded mesh, coloured by ``values`` (N,) between ``limits``, over a darkened image."""
+    hits = ray_cast(view.camera, vertices, triangles, cull=True)
+    dark = (background * 0.35).astype(np.uint8)
+    return shade(hits, vertices, triangles, values, camera=view.camera, limits=limits, background=dark)
+
+
+class Portraits:
+    """Portraits of heads in the head frame, on a transparent background: the actor's triangles, and eyeballs.
+
+    ``size`` (width, height) pixels; ``whole`` frames the whole head instead of the face. Eyeballs come from the
+    embedded model where the actor's mesh is its mesh.
+    """
+
+    def __init__(self, actor, size: tuple[int, int], whole: bool = False, sampling: int = 2):
+        self.actor, self.size = actor, size
+        framed = actor.neutral if whole else actor.neutral[actor.frontal]
+        low, high = framed.min(axis=0), framed.max(axis=0)
+        self._centre = (low + high) / 2
+        extent = high - low
+        width = np.hypot(extent[0], extent[2]) * 0.88 if whole else extent[0] * 1.25
+        width, distance = max(width, extent[1] * 1.05 * size[0] / size[1]), 900.0
+        wide, tall = size[0] * sampling, size[1] * sampling
+        focal = wide / width * distance
+        self.camera = Camera(wide, tall, focal, focal, (wide - 1) / 2, (tall - 1) / 2)
+        self._eyes, self._eye_triangles = _eyeballs(actor)
+
+    def draw(self, head: np.ndarray, values: np.ndarray | None = None, limits=None, turn: float = 0.0) -> np.ndarray:
+        """(h, w, 4) RGBA of a head (N, 3) turned by ``turn`` degrees; ``values`` (N,) between ``limits`` colour it."""
+        colours = np.tile(np.array(SKIN, float), (len(head), 1)) if values is None else heat_map(values, limits)
+        vertices = np.concatenate([head, self._eyes])
+        colours = np.concatenate([colours, np.tile(np.array(_EYE, float), (len(self._eyes), 1))])
+        triangles = np.concatenate([self.actor.triangles, self._eye_triangles + len(head)])
+        vertices = transform_points(self._pose(turn), vertices)
+        hits = ray_cast(self.camera, vertices, triangles, cull=True)
+        # Through the open mouth one sees the inside of the back of the head: that is the dark of the mouth.
+        inside = ray_cast(self.camera, vertices, self.actor.triangles).mask & ~hits.mask
+        rgb = shade(hits, vertices, triangles, colours, camera=self.camera, background=_MOUTH)
+        rgba = np.dstack([rgb, np.where(hits.mask | inside, 255, 0).astype(np.uint8)])
+        return _shrink(rgba, self.size)
+
+    def _pose(self, degrees: float) -> np.ndarray:
+        """(4, 4) head to camera: facing the camera, turned about the vertical."""
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        pose = np.eye(4)
+        pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+        pose[:3, 3] = [0, 0, 900.0] - pose[:3, :3] @ self._centre
+        return pose
+
+
+def on_backdrop(rgba: np.ndarray, colour=(52, 58, 68)) -> np.ndarray:
+    """(h, w, 3) uint8: an RGBA picture over one colour."""
+    alpha = rgba[..., 3:] / 255
+    return (rgba[..., :3] * alpha + np.array(colour) * (1 - alpha)).astype(np.uint8)
+
+
+def _eyeballs(actor) -> tuple[np.ndarray, np.ndarray]:
+    """(Q, 3) eyeball vertices placed in the actor's head, and their triangles; empty for meshes of other models."""
+    model = embedded_face_model()
+    if len(actor.neutral) != len(model.mean) or model.eye_mean is None:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+    identity = actor.identity if 0 < len(actor.identity) <= len(model.identity_modes) else np.zeros(1)
+    rim = actor.feature_vertices[FEATURE_REGIONS == "eyes"]
+    placed = rigid_alignment(model.neutral(identity)[rim], actor.neutral[rim])
+    return transform_points(placed, model.eyes(identity)), model.eye_triangles
+
+
+def _shrink(rgba: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Area-averaged downsampling with premultiplied alpha, so that the silhouette gets no dark rim."""
+    alpha = rgba[..., 3:].astype(np.float32) / 255
+    premultiplied = np.dstack([rgba[..., :3] * alpha, alpha * 255])
+    small = cv2.resize(premultiplied, size, interpolation=cv2.INTER_AREA)
+    small[..., :3] /= np.maximum(small[..., 3:] / 255, 1e-6)
+    return np.clip(np.rint(small), 0, 255).astype(np.uint8)
