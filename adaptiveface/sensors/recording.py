@@ -149,6 +149,9 @@ class RecordingWriter:
 
     def write(self, frame: RgbdFrame) -> int:
         """Append ``frame``; returns its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
+        if frame.depth.shape != (self.camera.height, self.camera.width):
+            size = f"{self.camera.width} x {self.camera.height} pixels"
+            raise FileFormatError(f"{self.path}: a frame of {frame.depth.shape[::-1]} pixels, the camera has {size}")
         number = len(self._timestamps)
         units = np.rint(frame.depth.astype(float) * (self.depth_scale / 1000.0))
         units[~((units >= 1) & (units <= 65_535))] = 0

@@ -1,0 +1,36 @@
+"""Shared by all tests: one BLAS thread, no display, the real recording where it lies beside the checkout."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read when numpy is first imported
+    os.environ.setdefault(variable, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import pytest  # noqa: E402
+
+MANNEQUIN = Path(__file__).resolve().parents[2] / "shared" / "recordings" / "mannequin_truedepth"
+
+
+@pytest.fixture(scope="session")
+def mannequin() -> Path:
+    """Folder of the real TrueDepth recording; skips where it is absent."""
+    if not MANNEQUIN.is_dir():
+        pytest.skip(f"the real recording is not at {MANNEQUIN}")
+    return MANNEQUIN
+
+
+@pytest.fixture(scope="session")
+def detector():
+    """The MediaPipe detector; skips without mediapipe or where its model cannot be fetched."""
+    pytest.importorskip("mediapipe", reason="the extra 'landmarks' is not installed")
+    from adaptiveface.errors import FeatureDetectionError
+    from adaptiveface.landmarks import FeatureDetector, face_landmarker_file
+
+    try:
+        path = face_landmarker_file()
+    except FeatureDetectionError as error:
+        pytest.skip(str(error))
+    return FeatureDetector(path)
