@@ -18,6 +18,8 @@ from .camera import Camera
 
 #: Triangles with a vertex nearer than this are left out, mm.
 NEAR = 10.0
+#: Triangles are larger by this barycentric share, so that rounding lets no ray through at a vertex.
+EDGE_SLACK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -118,10 +120,9 @@ def _rasterise(vertices, triangles, fx, fy, cx, cy, u0, v0, cull, depth, triangl
                 w0 = plane[0, 0] * x + a0
                 w1 = plane[1, 0] * x + a1
                 w2 = plane[2, 0] * x + a2
-                if w0 < 0.0 or w1 < 0.0 or w2 < 0.0:
-                    continue
                 total = w0 + w1 + w2
-                if total <= 0.0:
+                slack = -EDGE_SLACK * total
+                if total <= 0.0 or w0 < slack or w1 < slack or w2 < slack:
                     continue
                 z = volume / total
                 if triangle[v, u] < 0 or z < depth[v, u]:

@@ -48,11 +48,13 @@ class Performer:
         self._subdivision, self.surface_triangles = loop_subdivision(self.triangles, n)
         self._make_contacts()
         self._close_lids()
-        dense = self._subdivision @ self._control
+        self._folds = []
+        dense = self.surface(np.zeros(len(self.expression_names)))
         self.neutral = dense[:n]
         landmarks = surface_points(self.neutral, self.model.feature_triangles, self.model.feature_weights)
         normals = smooth_normals(dense, self.surface_triangles)
-        self._folds = make_folds(rng, dense, normals, landmarks, self.expression_names) if folds else []
+        if folds:
+            self._folds = make_folds(rng, dense, normals, landmarks, self.expression_names)
 
     def _draw_skin(self, rng: np.random.Generator, detail: float, variation: float) -> None:
         model, names = self.model, self.expression_names

@@ -14,7 +14,7 @@ import numpy as np
 from ..camera import Camera
 from ..errors import ParameterError
 from ..face_model import FaceModel
-from ..frame import Features2D, RgbdFrame
+from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..mesh import rotation_vector_matrix, surface_points, transform_points
 from ..rendering import Hits, covering_window, ray_cast
 from .noise import DEPTH_SCALES, add_noise
@@ -23,8 +23,8 @@ from .performer import Performer
 from .scene import Scene
 from .script import HeadMotion, performance
 
-#: A feature that lies this far behind the visible surface cannot be seen, mm.
-OCCLUSION = 10.0
+#: A feature that lies this far behind the visible surface cannot be seen, mm. Lips roll inwards: they are given more.
+OCCLUSION = np.where(FEATURE_REGIONS == "lips", 10.0, 5.0)
 
 
 @dataclass(frozen=True)
