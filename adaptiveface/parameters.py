@@ -190,9 +190,9 @@ class FitParameters(_Stage):
     iterations: int = parameter(25, "rounds of correspondence search and solve", section="3", low=1, high=200)
     scan_sigma: float = parameter(1.0, "expected point-to-plane distance of the model to the scan", unit="mm", section="3",
                                   low=0.05, high=20, log=True)
-    samples: float = parameter(300.0, "independent observations in the scan: its points are correlated", section="3",
+    samples: float = parameter(500.0, "independent observations in the scan: its points are correlated", section="3",
                                low=10, high=100000, log=True)
-    feature_sigma: float = parameter(2.0, "expected distance of a model feature from its viewing ray", unit="mm",
+    feature_sigma: float = parameter(1.0, "expected distance of a model feature from its viewing ray", unit="mm",
                                      section="3", low=0.1, high=50, log=True)
     reach: float = parameter(20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1,
                              high=200)
@@ -204,16 +204,16 @@ class FitParameters(_Stage):
 class ShrinkWrapParameters(_Stage):
     """Section 3: non-rigid ICP for what the identity modes cannot hold (Li et al. 2009)."""
 
-    node_spacing: float = parameter(12.0, "distance between the nodes of the deformation graph", unit="mm", section="3",
+    node_spacing: float = parameter(16.0, "distance between the nodes of the deformation graph", unit="mm", section="3",
                                     low=3, high=60)
-    iterations: int = parameter(12, "rounds of correspondence search and graph solve", section="3", low=0, high=200)
+    iterations: int = parameter(8, "rounds of correspondence search and graph solve", section="3", low=0, high=200)
     rigidity_start: float = parameter(100.0, "weight of the rigidity of the nodes at first", section="3", low=0, high=1e6,
                                       log=True)
-    rigidity_end: float = parameter(1.0, "weight of the rigidity of the nodes at last", section="3", low=0, high=1e6,
+    rigidity_end: float = parameter(0.3, "weight of the rigidity of the nodes at last", section="3", low=0, high=1e6,
                                     log=True)
     smoothness: float = parameter(0.1, "smoothness of neighbouring nodes, as a share of the rigidity weight", section="3",
                                   low=0, high=100, log=True)
-    feature_weight: float = parameter(1.0, "weight of a 2D feature against one scan correspondence", section="3", low=0,
+    feature_weight: float = parameter(2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0,
                                       high=1000)
     detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)
     detail_smoothness: float = parameter(1.0, "smoothness of the fine step", section="3", low=1e-4, high=1e4, log=True)
