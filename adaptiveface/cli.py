@@ -24,6 +24,8 @@ def main(argv: list[str] | None = None) -> int:
         return args.run(args)
     except AdaptiveFaceError as error:
         return _fail(str(error))
+    except ImportError as error:  # a bare Debian lacks what the OpenCV that MediaPipe brings is linked against
+        return _fail(f"{error} (on Debian or Ubuntu: apt install libegl1 libgles2 libgl1 libglib2.0-0)")
     except (OSError, MemoryError) as error:
         return _fail(str(error) or "out of memory")
     except KeyboardInterrupt:

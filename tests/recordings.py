@@ -12,6 +12,7 @@ from scenes import coefficients, exact_actor, head_pose, posed_shape, render_fra
 
 from adaptiveface.actor import Actor
 from adaptiveface.camera import Camera
+from adaptiveface.mesh import transform_points
 from adaptiveface.sensors import RecordingWriter
 
 #: A quarter of VGA: enough for a face at 0.6 m, and quick.
@@ -23,9 +24,21 @@ def talking_head(folder: Path, frames: int = 8) -> Actor:
     actor = exact_actor()
     with RecordingWriter(folder, SMALL, depth_scale=10_000) as writer:
         for k in range(frames):
-            shape = posed_shape(actor, coefficients(actor, jawOpen=0.5 * k / frames))
-            writer.write(render_frame(actor, shape, head_pose((0.0, 0.01 * k, 0.0)), k, noise=0.2, camera=SMALL))
+            writer.write(render_frame(actor, _shape(actor, k, frames), _pose(k), k, noise=0.2, camera=SMALL))
     return actor
+
+
+def true_mesh(actor: Actor, index: int, frames: int = 8) -> np.ndarray:
+    """(N, 3) mm, camera frame: the mesh from which :func:`talking_head` rendered a frame."""
+    return transform_points(_pose(index), _shape(actor, index, frames))
+
+
+def _shape(actor: Actor, index: int, frames: int) -> np.ndarray:
+    return posed_shape(actor, coefficients(actor, jawOpen=0.5 * index / frames))
+
+
+def _pose(index: int) -> np.ndarray:
+    return head_pose((0.0, 0.01 * index, 0.0))
 
 
 def edit_intrinsics(folder: Path, **values) -> Path:

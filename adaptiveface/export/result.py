@@ -214,7 +214,7 @@ class ResultBuilder:
 
     def _on_whole_mesh(self, correctives: np.ndarray) -> np.ndarray:
         shapes = np.zeros((correctives.shape[1], len(self.actor.neutral), 3), np.float32)
-        shapes[:, self.actor.frontal] = correctives.T.reshape(len(shapes), -1, 3)
+        shapes[:, self.actor.frontal] = correctives.T.reshape(len(shapes), int(self.actor.frontal.sum()), 3)
         return shapes
 
     def _fill_gaps(self, rows: dict[str, np.ndarray]) -> None:
