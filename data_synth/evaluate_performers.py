@@ -27,6 +27,7 @@ import numpy as np  # noqa: E402
 
 import adaptiveface  # noqa: E402
 from adaptiveface.evaluation import REPEAT, ErrorCollector, Evaluation  # noqa: E402
+from adaptiveface.evaluation.ablation import ablation_table, run_ablations  # noqa: E402
 from adaptiveface.frame import Features2D, RgbdFrame  # noqa: E402
 from adaptiveface.neutral.capture import capture_actor  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
@@ -149,6 +150,9 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
     evaluations = {name: collector.finish() for name, (_, collector) in runs.items()}
     row.update(_figures(evaluations), track_ms=float(np.median(times)), table=evaluations["on"].table())
     row["lost"] = sum(evaluations["on"].lost.values()) / len(sensor)
+    if options["figure_5"]:
+        again = (frames.read(index) for index in range(len(sensor)))
+        row["figure_5"] = ablation_table(run_ablations(again, sensor, actor, parameters, stride=options["stride"]))
     return row
 
 
@@ -218,6 +222,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--stride", type=int, default=1, help="score every so many frames only (quicker)")
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE", help="change a parameter")
     parser.add_argument("--no-ablation", action="store_true", help="leave out the runs with learning off")
+    parser.add_argument("--figure-5", action="store_true", help="leave out stages one by one, as the paper's figure 5")
     parser.add_argument("--stages", action="store_true", help="print every stage's table per performer")
     parser.add_argument("--cache", type=Path, help="folder that keeps the rendered frames (about 130 MB per performer)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
@@ -231,7 +236,7 @@ def main(arguments: list[str] | None = None) -> int:
     Parameters().set(**changed)  # a wrong name or value ends here, before any work
     options = dict(
         neutral_frames=args.neutral_frames, frames=args.frames, stride=args.stride, set=changed, cache=args.cache,
-        ablate=not args.no_ablation,
+        ablate=not args.no_ablation, figure_5=args.figure_5,
     )  # fmt: skip
     tasks = [(seed, noise) for seed in args.seeds for noise in args.noises]
     rows = []
@@ -241,9 +246,10 @@ def main(arguments: list[str] | None = None) -> int:
             rows.append(future.result())
             print(f"{number} of {len(tasks)} performers", file=sys.stderr)
     rows.sort(key=lambda row: tasks.index((row["seed"], row["noise"])))
-    if args.stages:
-        for row in rows:
-            print(f"{_name(row)}\n{row['table']}\n")
+    for row in rows:
+        wanted = [row[key] for key, asked in (("table", args.stages), ("figure_5", args.figure_5)) if asked]
+        for text in wanted:
+            print(f"{_name(row)}\n{text}\n")
     print(table(rows) + "\n")
     text, all_hold = verdict(rows)
     print(text)

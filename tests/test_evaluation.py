@@ -11,6 +11,7 @@ from adaptiveface.actor import Actor
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.mesh import rotation_vector_matrix, transform_points, vertex_normals
+from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import SampleState, TrackedFrame
 
 
@@ -231,3 +232,32 @@ def test_another_mesh_is_refused(sensor):
     )  # fmt: skip
     with pytest.raises(AdaptiveFaceError, match="need the same mesh"):
         ev.evaluate_run([], sensor, actor)
+
+
+@pytest.mark.slow
+def test_ablations_of_a_tracked_smile():
+    import scenes
+
+    from adaptiveface.evaluation.ablation import VARIANTS, ablation_table, run_ablations
+
+    actor, frames, truths = scenes.exact_actor(), [], []
+    amounts = [0, 0, 0.3, 0.6, 1.0, 0.6, 0.3, 0.6, 1.0]
+    for i, amount in enumerate(amounts):
+        x = scenes.coefficients(actor, mouthSmileLeft=amount, jawOpen=amount)
+        head, rigid = scenes.posed_shape(actor, x), scenes.head_pose(rotation=(0, 0.01 * i, 0))
+        frames.append(scenes.render_frame(actor, head, rigid, i, noise=0.5, pixel_noise=0.3))
+        truths.append(Truth(transform_points(rigid, head), rigid, -1 if i < 2 else int(i >= 6)))
+
+    class Source:
+        ground_truth = staticmethod(truths.__getitem__)
+        __len__ = staticmethod(lambda: len(truths))
+
+    results = run_ablations(frames, Source(), actor)
+    assert tuple(results) == tuple(variant.name for variant in VARIANTS)
+    share = {name: result.active_share(result.stages[0], ev.REPEAT) for name, result in results.items()}
+    assert share["full pipeline"] < 0.3 < 0.5 < share["without the blendshape fit"]
+    assert share["full pipeline"] < share["without 2D features"]
+    # one tracker serves the variants that differ in the stage only: its v1 is that of the full run
+    whole = ev.evaluate_run((FaceTracker(actor).track(f) for f in frames[:1]), Source(), actor, ("v1",))
+    assert results["blendshapes only"].surface[0, 0] == pytest.approx(whole.surface[0, 0])
+    assert ablation_table(results).count("\n") == len(VARIANTS)

@@ -136,10 +136,11 @@ def learning(record, spans: Spans = ()) -> str:
     with matplotlib.rc_context(_STYLE):
         figure, (states, updates) = _figure(2.9, rows=2, ratios=(1, 2.4))
         t, state = record.timestamps, np.asarray(record.sample_state)
+        width = max(650 / len(t), 0.4)  # points: the strip has no gaps
         for value, (colour, name) in STATE_COLOURS.items():
             times = t[state == value]
             label = f"{name} ({len(times)})"
-            states.eventplot([times], lineoffsets=0, linelengths=1, linewidths=1.2, colors=[colour], label=label)
+            states.eventplot([times], lineoffsets=0, linelengths=1, linewidths=width, colors=[colour], label=label)
         states.set_yticks([])
         states.set_ylim(-0.5, 0.5)
         states.grid(visible=False)

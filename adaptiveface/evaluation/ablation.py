@@ -1,0 +1,90 @@
+"""What each stage contributes: the pipeline with stages left out, on the same frames (the paper's figure 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..actor import Actor
+from ..frame import RgbdFrame
+from ..parameters import Parameters
+from ..tracking.tracker import FaceTracker
+from .run import ErrorCollector, Evaluation
+from .truth import REPEAT, GroundTruth
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A pipeline with something left out: the ``stage`` taken as its output, and how its tracker differs.
+
+    ``changes``: parameters by name; ``fit`` False holds the blendshape coefficients at zero.
+    """
+
+    name: str
+    stage: str = "v4"
+    changes: dict = field(default_factory=dict)
+    fit: bool = True
+
+
+#: Figure 5 leaves out the steps one by one; the last two are our own questions. Variants that differ only in ``stage``
+#: share one tracker. A term is left out by the smallest weight its parameter allows.
+VARIANTS = (
+    Variant("full pipeline"),
+    Variant("blendshapes only", "v1"),
+    Variant("without the adaptive space and the final deformation", "v2"),
+    Variant("without the final deformation", "v3"),
+    Variant("without the blendshape fit", fit=False),
+    Variant("without the Laplacian smoothing", changes={"laplacian.w2": 1e-4, "laplacian.final_w2": 1e-4}),
+    Variant(
+        "without 2D features",
+        changes={"blendshapes.w": 1e-7, "laplacian.feature_weight": 0.0, "laplacian.final_feature_weight": 0.0},
+    ),
+    Variant("learning off", changes={"adaptive_pca.learn": False}),
+)
+
+
+def run_ablations(
+    frames: Iterable[RgbdFrame], truth, actor: Actor, parameters: Parameters | None = None,
+    variants: Iterable[Variant] = VARIANTS, stride: int = 1,
+) -> dict[str, Evaluation]:  # fmt: skip
+    """Track the same frames with every variant; returns name -> :class:`Evaluation` of its one stage.
+
+    ``truth`` as for :meth:`GroundTruth.of`; every ``stride``-th frame is scored. The frames are read once.
+    """
+    parameters, truth, variants = parameters or Parameters(), GroundTruth.of(truth), tuple(variants)
+    collectors = {variant.name: ErrorCollector(truth, actor, (variant.stage,)) for variant in variants}
+    runs: dict[tuple, tuple[FaceTracker, list[ErrorCollector]]] = {}
+    for variant in variants:
+        key = (tuple(variant.changes.items()), variant.fit)
+        if key not in runs:
+            runs[key] = (_tracker(actor, parameters, variant), [])
+        runs[key][1].append(collectors[variant.name])
+    for frame in frames:
+        for tracker, scorers in runs.values():
+            tracked = tracker.track(frame)
+            for collector in scorers:
+                if frame.index % stride == 0 or not tracked.tracked:
+                    collector.add(tracked)
+    return {name: collector.finish() for name, collector in collectors.items()}
+
+
+def ablation_table(evaluations: dict[str, Evaluation], performance: int | None = REPEAT) -> str:
+    """One line per variant: surface error, active share and the parts of the motion error, mm."""
+    lines = [f"{'':<54}median  p95    active  normal  tangential  lost"]
+    for name, evaluation in evaluations.items():
+        row = evaluation.summary(evaluation.stages[0], performance)
+        lines.append(
+            f"{name:<54}{row['surface_median']:<8.3f}{row['surface_p95']:<7.3f}{row['active_share']:<8.3f}"
+            f"{row['normal']:<8.3f}{row['tangential']:<12.3f}{sum(evaluation.lost.values())}"
+        )
+    return "\n".join(lines)
+
+
+def _tracker(actor: Actor, parameters: Parameters, variant: Variant) -> FaceTracker:
+    tracker = FaceTracker(actor, parameters.set(**variant.changes))
+    if not variant.fit:
+        rest = np.zeros(len(tracker.blendshapes.basis))
+        tracker.blendshapes.fit = lambda surface, features, camera, pose, *_: (pose, rest)
+    return tracker
