@@ -74,7 +74,8 @@ class DepthParameters(_Stage):
     smoothing: float = parameter(1.0, "Gaussian that reduces the depth noise", unit="px", low=0.3, high=10)
     normal_smoothing: float = parameter(2.0, "Gaussian under the depth gradient, from which the normals follow", unit="px",
                                         low=0.3, high=20)
-    edge: float = parameter(15.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200)
+    edge: float = parameter(20.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200)
+    min_view: float = parameter(0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9)
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class LaplacianParameters(_Stage):
     """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7)."""
 
     w1: float = parameter(0.1, "weight of the depth constraints", unit="1/mm^2", section="4.3", low=1e-6, high=1e3, log=True)
-    w2: float = parameter(5.0, "weight of the Laplacian smoothing", unit="1/mm^2", section="4.3", low=1e-4, high=1e6, log=True,
+    w2: float = parameter(1.5, "weight of the Laplacian smoothing", unit="1/mm^2", section="4.3", low=1e-4, high=1e6, log=True,
                           paper=100.0)
     feature_weight: float = parameter(0.09, "weight of a 2D feature; the paper's rows amount to f^2, a hard constraint",
                                       unit="1/mm^2", section="4.3", low=0, high=1e6, log=True, paper=2.8e5)
@@ -135,7 +136,7 @@ class LaplacianParameters(_Stage):
     prune: float = parameter(10.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
     final_w2: float = parameter(5.0, "smoothing of the final deformation, which sees the 2D features only", unit="1/mm^2",
                                 section="4.4", low=1e-4, high=1e6, log=True, paper=100.0)
-    final_feature_weight: float = parameter(0.05, "weight of a 2D feature there", unit="1/mm^2", section="4.4", low=0, high=1e6,
+    final_feature_weight: float = parameter(0.02, "weight of a 2D feature there", unit="1/mm^2", section="4.4", low=0, high=1e6,
                                             log=True, paper=2.8e5)
 
 
@@ -143,7 +144,7 @@ class LaplacianParameters(_Stage):
 class AdaptivePcaParameters(_Stage):
     """Section 5: anchors, correctives, incremental EM-PCA."""
 
-    K: int = parameter(7, "number of corrective shapes", section="5", low=0, high=100)
+    K: int = parameter(10, "number of corrective shapes", section="5", low=0, high=100, paper=7)
     S: int = parameter(200, "samples kept in the buffer", section="5", low=2, high=2000)
     valid_min: float = parameter(1.0, "samples with a smaller squared norm lie in the anchor space", unit="cm^2 per 3480 vertices",
                                  section="5", low=0, high=1e4, log=True)
@@ -214,6 +215,8 @@ class ShrinkWrapParameters(_Stage):
     smoothness: float = parameter(0.1, "smoothness of neighbouring nodes, as a share of the rigidity weight", section="3",
                                   low=0, high=100, log=True)
     feature_weight: float = parameter(2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0,
+                                      high=1000)
+    contact_weight: float = parameter(4.0, "lips that touch in the model stay together: weight of a pair", section="3", low=0,
                                       high=1000)
     detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)
     detail_smoothness: float = parameter(1.0, "smoothness of the fine step", section="3", low=1e-4, high=1e4, log=True)

@@ -21,7 +21,8 @@ from ..parameters import DepthParameters
 class DepthSurface:
     """A cropped, smoothed depth map. ``origin`` (u, v) pixel of the crop's corner; the rest (h, w) float32:
 
-    depth mm; gradient_u, gradient_v mm per pixel; valid: 1 where measured and away from depth edges, else 0.
+    depth mm; gradient_u, gradient_v mm per pixel; valid: 1 where measured and away from depth edges, else 0; min_view: the
+    smallest usable cosine of the viewing angle.
     """
 
     camera: Camera
@@ -30,6 +31,7 @@ class DepthSurface:
     gradient_u: np.ndarray
     gradient_v: np.ndarray
     valid: np.ndarray
+    min_view: float
 
 
 def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 0) -> tuple[int, int, int, int]:
@@ -72,11 +74,11 @@ def depth_surface(depth: np.ndarray, camera: Camera, window, parameters: DepthPa
     gradient_u = cv2.Sobel(coarse, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     gradient_v = cv2.Sobel(coarse, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
     valid = clean * (weight > 0.8)
-    return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid)
+    return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_view)
 
 
 @numba.njit(cache=True)
-def _associate(points, normals, depth, gradient_u, gradient_v, valid, intrinsics, reach, min_cosine, distance, normal_out):
+def _associate(points, normals, depth, gradient_u, gradient_v, valid, intrinsics, reach, min_cosine, min_view, distance, normal_out):
     """Signed point-to-plane distance, plane normal and weight of every camera-frame point; weight 0 = no match."""
     fx, fy, cx, cy, u0, v0 = intrinsics
     h, w = depth.shape
@@ -106,7 +108,7 @@ def _associate(points, normals, depth, gradient_u, gradient_v, valid, intrinsics
         normal_out[i, 0], normal_out[i, 1], normal_out[i, 2] = nx, ny, nz
         # A grazing surface is measured badly: weigh by the cosine between viewing ray and normal.
         weight[i] = -(nx * x + ny * y + nz * z) / np.sqrt(x * x + y * y + z * z)
-        if weight[i] < 0.15:
+        if weight[i] < min_view:
             weight[i] = 0.0
     return weight
 
@@ -141,5 +143,5 @@ def find_correspondences(surface: DepthSurface, points: np.ndarray, normals: np.
     camera, distance, plane = surface.camera, np.zeros(len(points)), np.zeros((len(points), 3))
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, float(surface.origin[0]), float(surface.origin[1]))
     weights = _associate(np.ascontiguousarray(points), np.ascontiguousarray(normals), surface.depth, surface.gradient_u,
-                         surface.gradient_v, surface.valid, intrinsics, reach, np.cos(np.radians(max_angle)), distance, plane)
+                         surface.gradient_v, surface.valid, intrinsics, reach, np.cos(np.radians(max_angle)), surface.min_view, distance, plane)
     return Correspondences(distance, plane, weights)
