@@ -1,4 +1,4 @@
-"""Whole recordings and actors that cannot be used: refused with the file and the reason, never a traceback or a hang."""
+"""Recordings and actors that cannot be used: refused with the file and the reason, never a traceback or a hang."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ def every_depth_image(folder, damage):
 
 RUINED = {
     "every frame missing": (lambda f: every_depth_image(f, lambda p: p.unlink()), "no depth images"),
-    "every frame truncated": (lambda f: every_depth_image(f, lambda p: p.write_bytes(p.read_bytes()[:300])), "4 broken"),
+    "every frame truncated": (
+        lambda f: every_depth_image(f, lambda p: p.write_bytes(p.read_bytes()[:300])), "4 broken",
+    ),
     "every frame of another size": (
         lambda f: every_depth_image(f, lambda p: Image.new("I;16", (8, 8), 5000).save(p)), "8 x 8 pixels",
     ),
