@@ -73,7 +73,7 @@ def performance(seed: int, names: tuple[str, ...], frames: int = 300) -> np.ndar
     """(frames, E) activations in [0, 1] of one performance at 30 frames per second; neutral at both ends.
 
     The six emotions, twelve gestures and two spoken phrases in an order, strength and mixture drawn from ``seed``,
-    with blinks.
+    with blinks and glances.
     """
     rng = np.random.default_rng([seed, 0x5C21])
     items = [("emotion", g) for g in EMOTIONS.values()] + [("gesture", g) for g in GESTURES.values()]
@@ -89,7 +89,7 @@ def performance(seed: int, names: tuple[str, ...], frames: int = 300) -> np.ndar
         else:
             events.append(_gesture(rng, names, gesture, now, length))
         now += length
-    events += _blinks(rng, names, frames)
+    events += _blinks(rng, names, frames) + _glances(rng, names, frames)
     time = np.arange(frames, dtype=float)
     total = sum(np.outer(event.level(time), event.units) for event in events)
     return np.clip(total, 0.0, 1.0)
@@ -119,6 +119,17 @@ def _blinks(rng, names, frames: int) -> list[Event]:
     while now < frames - 12:
         out.append(Event(now, 3.0, 1.0, 4.0, unit_vector({"eyeBlink": 1.0}, names)))
         now += rng.uniform(45, 85)
+    return out
+
+
+def _glances(rng, names, frames: int) -> list[Event]:
+    """Quick looks aside, up or down, held for half a second."""
+    aside = {"eyeLookOutLeft": 0.6, "eyeLookInRight": 0.6}, {"eyeLookInLeft": 0.6, "eyeLookOutRight": 0.6}
+    looks = [*aside, {"eyeLookDown": 0.5}, {"eyeLookUp": 0.5}]
+    out, now = [], rng.uniform(20, 60)
+    while now < frames - 24:
+        out.append(Event(now, 2.0, 14.0, 2.0, unit_vector(looks[rng.integers(len(looks))], names)))
+        now += rng.uniform(60, 110)
     return out
 
 
