@@ -1,10 +1,10 @@
-"""Personal blendshapes by deformation transfer (Sumner & Popovic 2004; paper, section 3, "Building Initial Blendshapes").
+"""Personal blendshapes by deformation transfer (Sumner & Popovic 2004; paper, section 3).
 
-Every source triangle's change from the neutral to an expression is a (3, 3) affine map S: it takes the two edges and the
-scaled normal (the fourth vertex of the paper) to their deformed counterparts. The target's expression is the mesh whose
-triangles change alike: min sum_t area_t |G_t x - S_t P_t|^2, with G_t x the tangential gradient of the target's unknown
-vertex positions x and P_t the projection on the triangle's plane. The fourth vertices are thereby eliminated, and the
-matrix depends on the target's neutral alone: one factorisation serves every expression.
+Every source triangle's change from the neutral to an expression is a (3, 3) affine map S: it takes the two edges and
+the scaled normal (towards the fourth vertex of Sumner & Popovic) to their deformed counterparts. The target's
+expression is the mesh whose triangles change alike: min sum_t area_t |G_t x - S_t P_t|^2, with G_t x the tangential
+gradient of the unknown vertex positions x and P_t the projection on the triangle's plane. The fourth vertices are
+thereby eliminated, and the matrix depends on the target's neutral alone: one factorisation serves every expression.
 """
 
 from __future__ import annotations

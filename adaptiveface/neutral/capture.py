@@ -17,6 +17,8 @@ from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
 from .shrink_wrap import ShrinkWrap, shrink_wrap
 
+DEFAULTS = Parameters()
+
 
 @dataclass(frozen=True)
 class NeutralCapture:
@@ -31,13 +33,13 @@ class NeutralCapture:
 def capture_actor(
     frames: Sequence[RgbdFrame],
     model: FaceModel | None = None,
-    parameters: Parameters = Parameters(),
+    parameters: Parameters = DEFAULTS,
     progress: Progress | None = None,
 ) -> Actor:
     """Capture the neutral face of one person and build the personal blendshapes (paper, section 3).
 
-    frames: of the neutral face, at least one with 2D features; model: the embedded one by default; progress: called with
-    the step's name and the share done. Raises :class:`TrackingError` when no face is found.
+    frames: of the neutral face, at least one with 2D features; model: the embedded one by default; progress: called
+    with the step's name and the share done. Raises :class:`TrackingError` when no face is found.
     """
     return capture_neutral(frames, model, parameters, progress).actor
 
@@ -45,7 +47,7 @@ def capture_actor(
 def capture_neutral(
     frames: Sequence[RgbdFrame],
     model: FaceModel | None = None,
-    parameters: Parameters = Parameters(),
+    parameters: Parameters = DEFAULTS,
     progress: Progress | None = None,
 ) -> NeutralCapture:
     """As :func:`capture_actor`, with every intermediate result."""

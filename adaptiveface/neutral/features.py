@@ -1,7 +1,7 @@
 """The 2D features of the neutral frames as constraints on the head, and their calibration for one person.
 
-A feature seen at a pixel of frame k lies on a viewing ray. The sum over the frames of its squared distances to these rays
-is a quadratic form of its 3D position x, x.A x - 2 b.x + c, so that all frames together cost one (3, 3) matrix each:
+A feature seen at a pixel of frame k lies on a viewing ray. The mean over the frames of its squared distances to these
+rays is a quadratic form of its 3D position x, x.A x - 2 b.x + c, so that all frames together cost one (3, 3) matrix:
 the point-to-point 2D feature constraints of section 3.
 """
 

@@ -18,14 +18,17 @@ from ..parameters import FitParameters
 from .features import FeatureConstraints, feature_constraints
 from .fuse import FusedScan
 
+DEFAULTS = FitParameters()
 _MIN_CORRESPONDENCES = 300
 
 
 @dataclass(frozen=True)
 class IdentityFit:
-    """identity (M,) coefficients, standard deviations; scan_from_head (4, 4): model head frame to scan frame; vertices
+    """Result of :func:`fit_identity`.
+
+    identity (M,) coefficients, standard deviations; scan_from_head (4, 4): model head frame to scan frame; vertices
     (V, 3): the fitted head in the head frame, mm; residual: median point-to-plane distance, mm; matched (V,) bool:
-    vertices with a scan correspondence; feature_rms (40,) mm, NaN where unseen; residuals per iteration (I,) mm.
+    vertices with a scan correspondence; feature_rms (40,) mm, NaN where unseen; history (I,): residual per round, mm.
     """
 
     identity: np.ndarray
@@ -39,7 +42,7 @@ class IdentityFit:
 
 @dataclass(frozen=True)
 class ScanCorrespondences:
-    """Closest scan points of mesh vertices: vertices (n,) numbers, points (n, 3), normals (n, 3), distances (n,) signed."""
+    """Mesh vertices, by number (n,), and their closest scan points, normals (n, 3), signed distances (n,) mm."""
 
     vertices: np.ndarray
     points: np.ndarray
@@ -68,7 +71,7 @@ class ScanSearch:
         return ScanCorrespondences(numbers[keep], points[keep], planes[keep], along[keep])
 
 
-def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = FitParameters()) -> IdentityFit:
+def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = DEFAULTS) -> IdentityFit:
     """Solve for the global rigid transformation and the identity coefficients (paper, section 3).
 
     Alternates closest points with one Gauss-Newton step on all unknowns; first the pose alone, then a growing number of

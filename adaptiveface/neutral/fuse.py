@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from ..camera import Camera
 from ..errors import FrameError, TrackingError
 from ..face_model import FaceModel
 from ..frame import Features2D, RgbdFrame
@@ -15,7 +17,16 @@ from ..parameters import FusionParameters
 from .registration import DepthView, Registration, align, depth_view, evaluate, feature_pose
 from .volume import TsdfVolume
 
+DEFAULTS = FusionParameters()
+_MIN_POINTS = 1000
 Progress = Callable[[str, float], None]
+
+
+class Placed(NamedTuple):
+    """A registered frame: its depth view and its pose (4, 4), scan to camera."""
+
+    view: DepthView
+    pose: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -35,7 +46,7 @@ class FusedScan:
     poses: np.ndarray
     residuals: np.ndarray
     features: tuple[Features2D | None, ...]
-    cameras: tuple
+    cameras: tuple[Camera, ...]
 
 
 def head_box(model: FaceModel, margin: float) -> np.ndarray:
@@ -44,13 +55,13 @@ def head_box(model: FaceModel, margin: float) -> np.ndarray:
     return np.stack([face.min(axis=0) - margin, face.max(axis=0) + margin])
 
 
-def most_frontal(frames: Sequence[RgbdFrame], feature_points: np.ndarray) -> tuple[int, np.ndarray]:
-    """The frame whose features show the face most from the front, and its pose (4, 4).
+def most_frontal(frames: Mapping[int, RgbdFrame], feature_points: np.ndarray) -> tuple[int, np.ndarray]:
+    """Number of the frame whose features show the face most from the front, and its pose (4, 4).
 
     Raises :class:`TrackingError` when no frame has usable features.
     """
     best = None
-    for number, frame in _readable(frames):
+    for number, frame in frames.items():
         pose = feature_pose(frame, feature_points)
         if pose is None:
             continue
@@ -59,8 +70,8 @@ def most_frontal(frames: Sequence[RgbdFrame], feature_points: np.ndarray) -> tup
             best = (turned, number, pose)
     if best is None:
         raise TrackingError(
-            "no face was found in the neutral frames: none has 2D features; record the face from the front, "
-            "well lit, or supply features.csv"
+            f"no face was found in the {len(frames)} readable neutral frames: none has 2D features; record the face "
+            "from the front, well lit, or supply features.csv"
         )
     return best[1], best[2]
 
@@ -68,104 +79,109 @@ def most_frontal(frames: Sequence[RgbdFrame], feature_points: np.ndarray) -> tup
 def fuse_frames(
     frames: Sequence[RgbdFrame],
     model: FaceModel,
-    parameters: FusionParameters = FusionParameters(),
+    parameters: FusionParameters = DEFAULTS,
     progress: Progress | None = None,
 ) -> FusedScan:
     """Register the frames to the growing model surface and merge them in a volume (paper, section 3).
 
     Starts at the most frontal frame, whose 2D features give the first pose, and walks forwards and backwards from
     there, each frame starting at its neighbour's pose. Aligning to the merged surface instead of the neighbour avoids
-    drift; a second pass aligns every frame to the whole surface. Frames that cannot be registered are left out.
-    Raises :class:`TrackingError` when no face is found.
+    drift; a second pass aligns every frame to the whole surface. Frames that cannot be read or registered are left
+    out. Raises :class:`TrackingError` when no face is found.
     """
+    report = progress or (lambda step, share: None)
+    readable = _readable(frames)
     feature_points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
-    first, pose = most_frontal(frames, feature_points)
     box = head_box(model, parameters.margin)
-    poses = _first_pass(frames, first, pose, box, feature_points, parameters, progress)
+    placed = _first_pass(readable, feature_points, box, parameters, report)
     for number in range(1, parameters.passes):
-        poses = _next_pass(frames, poses, box, parameters, progress, number)
-    return _merged(frames, poses, box, parameters)
+        placed = _next_pass(placed, box, parameters)
+        report("fuse", (number + 1) / parameters.passes)
+    return _merged(readable, placed, box, parameters)
 
 
-def _first_pass(frames, first, pose, box, feature_points, parameters, progress) -> dict[int, np.ndarray]:
+def _readable(frames: Sequence[RgbdFrame]) -> dict[int, RgbdFrame]:
+    """The frames that can be read, by number, without their colour (it would only fill the memory)."""
+    out = {}
+    for number in range(len(frames)):
+        try:
+            out[number] = replace(frames[number], colour=None)
+        except FrameError:
+            continue
+    return out
+
+
+def _first_pass(frames, feature_points, box, parameters, report) -> dict[int, Placed]:
+    """Grow the surface from the most frontal frame; the registered frames by number."""
+    first, pose = most_frontal(frames, feature_points)
+    view = depth_view(frames[first], pose, box)
+    if view is None:
+        raise TrackingError(f"frame {first} has 2D features but no depth at the face: do colour and depth agree?")
     volume = _volume(box, parameters)
-    start = depth_view(frames[first], pose, box)
-    if start is None:
-        raise TrackingError(f"frame {first} has 2D features but no depth at the face: check that colour and depth agree")
-    volume.integrate(start, pose, parameters.min_cosine)
-    poses = {first: pose}
-    walk = [*range(first + 1, len(frames)), *range(first - 1, -1, -1)]
-    last = pose
-    for done, number in enumerate(walk):
-        if number == first - 1:
-            last = pose
-        result = _register(frames, number, last, volume, box, parameters, feature_points)
-        if result is not None:
-            view, registration = result
-            last = poses[number] = registration.pose
-            volume.integrate(view, last, parameters.min_cosine)
-        if progress is not None:
-            progress("fuse", (done + 1) / len(walk) / parameters.passes)
-    return poses
+    volume.integrate(view, pose, parameters.min_cosine)
+    placed = {first: Placed(view, pose)}
+    numbers = sorted(frames)
+    start = numbers.index(first)
+    for walk in (numbers[start + 1 :], numbers[:start][::-1]):
+        last = pose
+        for number in walk:
+            found = _register(frames[number], last, volume, box, parameters, feature_points)
+            if found is not None:
+                placed[number], last = found, found.pose
+                volume.integrate(found.view, last, parameters.min_cosine)
+            report("fuse", len(placed) / len(numbers) / parameters.passes)
+    return placed
 
 
-def _next_pass(frames, poses, box, parameters, progress, number) -> dict[int, np.ndarray]:
-    volume = _volume(box, parameters)
-    for k in sorted(poses):
-        view = depth_view(frames[k], poses[k], box)
-        if view is not None:
-            volume.integrate(view, poses[k], parameters.min_cosine)
-    model = _model_points(volume, parameters)
-    refined = {}
-    for done, k in enumerate(sorted(poses)):
-        view = depth_view(frames[k], poses[k], box)
-        if view is not None:
-            registration = align(view, *model, poses[k], parameters)
-            if _accepted(registration, parameters):
-                refined[k] = registration.pose
-        if progress is not None:
-            progress("fuse", (number + (done + 1) / len(poses)) / parameters.passes)
-    return refined or poses
-
-
-def _register(frames, number, last, volume, box, parameters, feature_points) -> tuple[DepthView, Registration] | None:
+def _register(frame, last, volume, box, parameters, feature_points) -> Placed | None:
     """Register one frame from its neighbour's pose, and once more from its own 2D features if that fails."""
-    try:
-        frame = frames[number]
-    except FrameError:
-        return None
     model = _model_points(volume, parameters)
-    for start in (lambda: last, lambda: feature_pose(frame, feature_points)):
-        pose = start()
+    for attempt in (lambda: last, lambda: feature_pose(frame, feature_points)):
+        pose = attempt()
         view = None if pose is None else depth_view(frame, pose, box)
         if view is None:
             continue
         registration = align(view, *model, pose, parameters)
         if _accepted(registration, parameters):
-            return view, registration
+            return Placed(view, registration.pose)
     return None
+
+
+def _next_pass(placed: dict[int, Placed], box, parameters) -> dict[int, Placed]:
+    """Align every frame to the surface merged from all of them."""
+    model = _model_points(_integrated(placed, box, parameters), parameters)
+    refined = {}
+    for number, (view, pose) in placed.items():
+        registration = align(view, *model, pose, parameters)
+        if _accepted(registration, parameters):
+            refined[number] = Placed(view, registration.pose)
+    return refined or placed
 
 
 def _accepted(registration: Registration, parameters: FusionParameters) -> bool:
     return registration.residual < parameters.max_residual and registration.overlap > parameters.min_overlap
 
 
-def _merged(frames, poses, box, parameters) -> FusedScan:
-    volume = _volume(box, parameters)
-    views = {}
-    for k in sorted(poses):
-        views[k] = depth_view(frames[k], poses[k], box)
-        volume.integrate(views[k], poses[k], parameters.min_cosine)
-    points, normals, weights = volume.surface(min_weight=min(parameters.min_views, 0.5 * len(poses)))
-    if len(points) < 1000:
+def _merged(frames, placed: dict[int, Placed], box, parameters) -> FusedScan:
+    volume = _integrated(placed, box, parameters)
+    points, normals, weights = volume.surface(min_weight=min(parameters.min_views, 0.5 * len(placed)))
+    if len(points) < _MIN_POINTS:
         raise TrackingError(f"the merged scan holds only {len(points)} points: the depth frames do not show a face")
     sample = slice(None, None, max(1, len(points) // parameters.icp_points))
-    residuals = [evaluate(views[k], points[sample], normals[sample], poses[k], parameters).residual for k in views]
-    used = np.array(sorted(poses))
+    used = sorted(placed)
+    fits = [evaluate(*placed[k], points[sample], normals[sample], parameters) for k in used]
     return FusedScan(
-        points, normals, weights, used, np.stack([poses[k] for k in used]), np.array(residuals),
-        tuple(frames[k].features for k in used), tuple(frames[k].camera for k in used),
+        points, normals, weights, np.array(used), np.stack([placed[k].pose for k in used]),
+        np.array([fit.residual for fit in fits]), tuple(frames[k].features for k in used),
+        tuple(frames[k].camera for k in used),
     )
+
+
+def _integrated(placed: dict[int, Placed], box, parameters) -> TsdfVolume:
+    volume = _volume(box, parameters)
+    for number in sorted(placed):
+        volume.integrate(*placed[number], parameters.min_cosine)
+    return volume
 
 
 def _volume(box: np.ndarray, parameters: FusionParameters) -> TsdfVolume:
@@ -176,14 +192,6 @@ def _model_points(volume: TsdfVolume, parameters: FusionParameters) -> tuple[np.
     points, normals, _ = volume.surface()
     sample = slice(None, None, max(1, len(points) // parameters.icp_points))
     return points[sample], normals[sample]
-
-
-def _readable(frames: Sequence[RgbdFrame]) -> Iterator[tuple[int, RgbdFrame]]:
-    for number in range(len(frames)):
-        try:
-            yield number, frames[number]
-        except FrameError:
-            continue
 
 
 def in_head_frame(scan: FusedScan, head_from_scan: np.ndarray) -> FusedScan:

@@ -52,8 +52,10 @@ class Registration:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Correspondences in the camera frame: model points and normals (n, 3), signed distances (n,) to the depth along the
-    model normal, mm, cosines (n,) of the viewing angle; visible: number of model points turned to the camera.
+    """Correspondences in the camera frame, millimetres.
+
+    points, normals (n, 3) of the model; distances (n,): signed, from the depth along the model's normal; cosines (n,)
+    of the viewing angle; visible: number of model points turned to the camera.
     """
 
     points: np.ndarray
@@ -104,7 +106,7 @@ def _surface(depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray,
     # A steep but continuous surface also makes large steps: allow what its slope explains.
     step = 2.0 * depth / camera.fx / np.maximum(slope, 0.1)
     valid = (nearest > 0) & (farthest - nearest < np.maximum(_DEPTH_JUMP, 1.5 * step)) & (length > 0)
-    return rays * depth[..., None].astype(float), normals, valid
+    return (rays * depth[..., None]).astype(np.float32), normals.astype(np.float32), valid
 
 
 def align(
@@ -126,10 +128,10 @@ def align(
         limit = float(np.clip(4.0 * scale, 5.0, parameters.prune))
         if motion < _CONVERGED:
             break
-    return evaluate(view, points, normals, pose, parameters)
+    return evaluate(view, pose, points, normals, parameters)
 
 
-def evaluate(view: DepthView, points, normals, pose: np.ndarray, parameters: FusionParameters) -> Registration:
+def evaluate(view: DepthView, pose: np.ndarray, points, normals, parameters: FusionParameters) -> Registration:
     """How well a pose brings the model surface onto a depth view."""
     pairs = correspondences(view, points, normals, pose, parameters.prune, parameters)
     count = len(pairs.distances)

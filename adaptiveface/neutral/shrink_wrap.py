@@ -13,21 +13,25 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
 
 from ..face_model import FaceModel
-from ..mesh import cotangent_laplacian, edges, surface_points, vertex_areas, vertex_normals
+from ..mesh import adjacency, cotangent_laplacian, edges, surface_points, vertex_areas, vertex_normals
 from ..parameters import ShrinkWrapParameters
 from .features import FeatureConstraints, feature_constraints
 from .fit import ScanCorrespondences, ScanSearch
 from .fuse import FusedScan
 
+DEFAULTS = ShrinkWrapParameters()
 _NEIGHBOURS = 4  # nodes that carry a vertex
 
 
 @dataclass(frozen=True)
 class ShrinkWrap:
-    """vertices (V, 3) mm in the scan's frame; coarse (V, 3): after the deformation graph alone; matched (V,) bool;
-    residual: median point-to-plane distance to the scan over the matched vertices, mm; history (I,): the same per round.
+    """Result of :func:`shrink_wrap`.
+
+    vertices (V, 3) mm in the scan's frame; coarse (V, 3): after the deformation graph alone; matched (V,) bool;
+    residual: median point-to-plane distance to the scan over the matched vertices, mm; history (I,): per round.
     """
 
     vertices: np.ndarray
@@ -39,8 +43,10 @@ class ShrinkWrap:
 
 @dataclass(frozen=True)
 class DeformationGraph:
-    """Nodes on a mesh. nodes (G,) vertex numbers; positions (G, 3); carriers (V, C) node numbers that carry each vertex,
-    shares (V, C) their weights (rows sum to 1); edges (E, 2): nodes that carry a common vertex.
+    """Nodes on a mesh.
+
+    nodes (G,) vertex numbers; positions (G, 3) mm; carriers (V, C): the nodes that carry each vertex, shares (V, C)
+    their weights (rows sum to 1); edges (E, 2): nodes that carry a common vertex.
     """
 
     nodes: np.ndarray
@@ -51,7 +57,7 @@ class DeformationGraph:
 
 
 def shrink_wrap(
-    scan: FusedScan, model: FaceModel, vertices: np.ndarray, parameters: ShrinkWrapParameters = ShrinkWrapParameters()
+    scan: FusedScan, model: FaceModel, vertices: np.ndarray, parameters: ShrinkWrapParameters = DEFAULTS
 ) -> ShrinkWrap:
     """Warp the fitted head ``vertices`` (V, 3), given in the scan's frame, onto the scan (paper, section 3)."""
     search = ScanSearch(scan)
@@ -77,7 +83,7 @@ def _search(search: ScanSearch, model: FaceModel, vertices, parameters) -> ScanC
 
 
 def _wrapped(model: FaceModel) -> np.ndarray:
-    """(V,) bool: vertices that may meet the scan: the trusted frontal skin and all that lies outside the frontal region."""
+    """(V,) bool: vertices that may meet the scan: the trusted frontal skin, and all outside the frontal region."""
     return model.depth_valid | ~model.frontal
 
 
@@ -122,22 +128,51 @@ def _graph_edges(carriers: np.ndarray, shares: np.ndarray) -> np.ndarray:
 
 def _coarse(scan, model, vertices, search, parameters) -> tuple[np.ndarray, list[float]]:
     graph = deformation_graph(vertices, model.triangles, parameters.node_spacing)
-    carry = _carry_matrix(graph, vertices)
-    smooth, smooth_rest = _smoothness_rows(graph)
-    unknown = np.tile(np.concatenate([np.eye(3), np.zeros((1, 3))]), (len(graph.nodes), 1))  # (4 G, 3), rows A^T, t
-    area = vertex_areas(vertices, model.triangles)
-    area /= area[model.frontal].mean()
+    carry, rest = carry_matrix(graph, vertices)
+    fixed = _fixed_terms(graph, carry, vertices, model, parameters)
+    unknown = np.tile(np.concatenate([np.eye(3), np.zeros((1, 3))]), (len(graph.nodes), 1))  # (4 G, 3): A^T, t
     history, current = [], vertices
     for round_ in range(parameters.iterations):
         found = _search(search, model, current, parameters)
         history.append(_residual(found))
         rigidity = _relaxed(parameters, round_)
-        constraints = _feature_constraints(scan, model, current)
-        unknown = _graph_step(
-            unknown, carry, smooth, smooth_rest, graph, model, found, constraints, area, rigidity, parameters
-        )
-        current = carry @ unknown + _rest(graph)
+        energy = _Energy(unknown.size)
+        _add_scan(energy, carry, found, vertex_areas(vertices, model.triangles)[found.vertices])
+        _add_features(energy, carry, model, current, _feature_constraints(scan, model, current), parameters)
+        for rows, constant, weight, relaxes in fixed:
+            energy.add(sp.kron(rows, sp.identity(3), format="csr"), (rows @ unknown + constant).ravel(),
+                       weight * (rigidity if relaxes else 1.0))
+        energy.add(*_rigidity_rows(unknown), rigidity * _step_square(graph))
+        unknown = unknown + energy.solve().reshape(-1, 3)
+        current = carry @ unknown + rest
     return current, history
+
+
+class _Energy:
+    """Normal equations of a sum of squares: terms w |J step + r|^2, added one by one, then solved for the step."""
+
+    def __init__(self, size: int) -> None:
+        self._lhs, self._rhs = 1e-9 * sp.identity(size, format="csr"), np.zeros(size)
+
+    def add(self, jacobian: sp.csr_matrix, residual: np.ndarray, weight: float | np.ndarray | sp.spmatrix) -> None:
+        """``weight``: one number, one per row, or a matrix."""
+        if not sp.issparse(weight):
+            weight = sp.diags(np.broadcast_to(weight, residual.shape))
+        weighted = jacobian.T @ weight
+        self._lhs = self._lhs + weighted @ jacobian
+        self._rhs = self._rhs - weighted @ residual
+
+    def solve(self) -> np.ndarray:
+        return _factor(self._lhs).solve(self._rhs)
+
+
+def _fixed_terms(graph, carry, vertices, model, parameters) -> list[tuple]:
+    """The terms whose rows never change: (rows over the unknowns, constant, weight, relaxes with the rigidity)."""
+    smooth, constant = _smoothness_rows(graph)
+    touch = _pair_matrix(touching_pairs(model), len(vertices))
+    # rest - vertices: what the carried vertices still lack of their own place, so that the pairs keep their offset.
+    lips = touch @ carry, touch @ (_rest(graph) - vertices)
+    return [(smooth, constant, parameters.smoothness, True), (*lips, parameters.contact_weight, False)]
 
 
 def _relaxed(parameters: ShrinkWrapParameters, round_: int) -> float:
@@ -147,14 +182,14 @@ def _relaxed(parameters: ShrinkWrapParameters, round_: int) -> float:
     return float(np.exp((1 - t) * np.log(max(parameters.rigidity_start, low)) + t * np.log(low)))
 
 
-def _carry_matrix(graph: DeformationGraph, vertices: np.ndarray) -> sp.csr_matrix:
-    """(V, 4 G) matrix C: deformed vertices = C unknown + rest, with v' = sum_i w_i (A_i (v - x_i) + x_i + t_i)."""
+def carry_matrix(graph: DeformationGraph, vertices: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
+    """C (V, 4 G) and c (V, 3): deformed vertices C unknown + c, i.e. v' = sum_i w_i (A_i (v - x_i) + x_i + t_i)."""
     offset = vertices[:, None] - graph.positions[graph.carriers]
     data = graph.shares[..., None] * np.concatenate([offset, np.ones((*offset.shape[:2], 1))], axis=2)
     columns = 4 * graph.carriers[..., None] + np.arange(4)
     rows = np.broadcast_to(np.arange(len(vertices))[:, None, None], columns.shape)
     shape = (len(vertices), 4 * len(graph.nodes))
-    return sp.coo_matrix((data.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
+    return sp.coo_matrix((data.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr(), _rest(graph)
 
 
 def _rest(graph: DeformationGraph) -> np.ndarray:
@@ -163,7 +198,7 @@ def _rest(graph: DeformationGraph) -> np.ndarray:
 
 
 def _smoothness_rows(graph: DeformationGraph) -> tuple[sp.csr_matrix, np.ndarray]:
-    """E_smooth: rows A_i (x_j - x_i) + x_i + t_i - (x_j + t_j) for both directions of every edge; matrix and constant."""
+    """E_smooth: rows A_i (x_j - x_i) + x_i + t_i - (x_j + t_j), both ways along every edge; matrix and constant."""
     i, j = np.concatenate([graph.edges, graph.edges[:, ::-1]]).T
     offset = graph.positions[j] - graph.positions[i]
     rows = np.arange(len(i))
@@ -174,51 +209,37 @@ def _smoothness_rows(graph: DeformationGraph) -> tuple[sp.csr_matrix, np.ndarray
     return matrix, -offset
 
 
-def _graph_step(unknown, carry, smooth, smooth_rest, graph, model, found, constraints, area, rigidity, parameters):
-    """One Gauss-Newton step on E_fit + rigidity (E_rigid + smoothness E_smooth); returns the new unknowns (4 G, 3)."""
-    size = unknown.size
-    eye = sp.identity(3, format="csr")
-    # Unknown k of coordinate d is at 3 k + d: kron keeps the coordinates of a node together.
-    plane = sp.csr_matrix(
-        (found.normals.ravel(), (np.repeat(np.arange(len(found.vertices)), 3), np.arange(3 * len(found.vertices))))
-    )
-    rows = plane @ sp.kron(carry[found.vertices], eye, format="csr")
+def _add_scan(energy: _Energy, carry, found: ScanCorrespondences, area: np.ndarray) -> None:
+    """E_fit, point-to-plane: n.(v' - p), with Tukey's weights and the vertices' areas (not their density)."""
+    count = len(found.vertices)
+    index = np.repeat(np.arange(count), 3), np.arange(3 * count)
+    plane = sp.csr_matrix((found.normals.ravel(), index), (count, 3 * count))
     scale = max(3 * 1.4826 * _residual(found), 0.5)
-    weight = area[found.vertices] * np.clip(1 - (found.distances / (2 * scale)) ** 2, 0, None) ** 2
-    lhs = rows.T @ sp.diags(weight) @ rows
-    rhs = -rows.T @ (weight * found.distances)
-    _add_graph_features(locals_ := {"lhs": lhs, "rhs": rhs}, carry, graph, model, unknown, constraints, eye, parameters)
-    lhs, rhs = locals_["lhs"], locals_["rhs"]
-    bind = rigidity * parameters.smoothness
-    lhs = lhs + bind * sp.kron(smooth.T @ smooth, eye, format="csr")
-    rhs = rhs - bind * (smooth.T @ (smooth @ unknown + smooth_rest)).ravel()
-    rigid, deviation = _rigidity_rows(unknown)
-    lhs = lhs + rigidity * graph_scale(graph) * (rigid.T @ rigid) + 1e-9 * sp.identity(size)
-    rhs = rhs - rigidity * graph_scale(graph) * (rigid.T @ deviation)
-    solver = splu(lhs.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return unknown + solver.solve(rhs).reshape(-1, 3)
+    weight = area / area.mean() * np.clip(1 - (found.distances / (2 * scale)) ** 2, 0, None) ** 2
+    # Unknown k of coordinate d is at 3 k + d: kron keeps the coordinates of a node together.
+    energy.add(plane @ sp.kron(carry[found.vertices], sp.identity(3), format="csr"), found.distances, weight)
 
 
-def graph_scale(graph: DeformationGraph) -> float:
+def _add_features(energy: _Energy, carry, model, current, constraints: FeatureConstraints, parameters) -> None:
+    """E_fit, the 2D features: mean squared distances to the viewing rays."""
+    count = len(model.feature_triangles)
+    index = np.repeat(np.arange(count), 3), model.feature_triangles.ravel()
+    pick = sp.csr_matrix((model.feature_weights.ravel(), index), (count, carry.shape[0]))
+    strength = (parameters.feature_weight * constraints.seen)[:, None, None]
+    weight = sp.block_diag(list(strength * constraints.A), format="csr")
+    energy.add(sp.kron(pick @ carry, sp.identity(3), format="csr"), _to_rays(pick @ current, constraints), weight)
+
+
+def _to_rays(points: np.ndarray, constraints: FeatureConstraints) -> np.ndarray:
+    """(120,) offsets r of the points (40, 3) with A r = A x - b: from where the rays meet best."""
+    inverse = np.linalg.pinv(constraints.A, rcond=1e-6, hermitian=True)
+    return (points - np.einsum("fij,fj->fi", inverse, constraints.b)).ravel()
+
+
+def _step_square(graph: DeformationGraph) -> float:
     """mm^2: turns the dimensionless deviation of A from a rotation into the offset it makes at the next node."""
     step = graph.positions[graph.edges[:, 0]] - graph.positions[graph.edges[:, 1]]
     return float((step**2).sum(axis=1).mean())
-
-
-def _add_graph_features(system, carry, graph, model, unknown, constraints: FeatureConstraints, eye, parameters) -> None:
-    if parameters.feature_weight == 0 or not constraints.seen.any():
-        return
-    pick = sp.csr_matrix(
-        (model.feature_weights.ravel(), (np.repeat(np.arange(40), 3), model.feature_triangles.ravel())),
-        (40, carry.shape[0]),
-    )
-    points = pick @ (carry @ unknown + _rest(graph))
-    rows = sp.kron(pick @ carry, eye, format="csr")
-    strength = parameters.feature_weight * constraints.seen
-    block = sp.block_diag(list(strength[:, None, None] * constraints.A), format="csr")
-    offset = np.einsum("fij,fj->fi", constraints.A, points) - constraints.b
-    system["lhs"] = system["lhs"] + rows.T @ block @ rows
-    system["rhs"] = system["rhs"] - rows.T @ (strength[:, None] * offset).ravel()
 
 
 def _rigidity_rows(unknown: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
@@ -248,9 +269,13 @@ def _feature_constraints(scan: FusedScan, model: FaceModel, vertices: np.ndarray
 
 
 def _detail(vertices, model: FaceModel, found: ScanCorrespondences, parameters: ShrinkWrapParameters) -> np.ndarray:
-    """(V, 3) displacements s_i n_i with s = argmin sum (s_i n_i.m_i + d_i)^2 + smoothness |L s|^2 + a little |s|^2."""
-    normals = vertex_normals(vertices, model.triangles)
-    turn = (normals[found.vertices] * found.normals).sum(axis=1)
+    """(V, 3) displacements s_i m_i with s = argmin sum (s_i m_i.n_i + d_i)^2 + smoothness |L s|^2 + a little |s|^2.
+
+    The directions m_i are smoothed normals: at lip and lid rims, where the skin rolls in, true normals would fan out
+    and tear the rim. Lips that touch in the model move alike.
+    """
+    directions = _smoothed(vertex_normals(vertices, model.triangles), model.triangles)
+    turn = (directions[found.vertices] * found.normals).sum(axis=1)
     scale = max(3 * 1.4826 * _residual(found), 0.3)
     weight = np.clip(1 - (found.distances / (3 * scale)) ** 2, 0, None) ** 2
     n = len(vertices)
@@ -259,5 +284,47 @@ def _detail(vertices, model: FaceModel, found: ScanCorrespondences, parameters: 
     laplacian = cotangent_laplacian(vertices, model.triangles, non_negative=True)
     # The faint pull to zero lets displacements die out over the unseen back of the head.
     system = sp.diags(diagonal + 1e-4) + parameters.detail_smoothness * laplacian.T @ laplacian
-    solver = splu(system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return solver.solve(rhs)[:, None] * normals
+    pairs = _pair_matrix(touching_pairs(model), n)
+    system = system + parameters.contact_weight * pairs.T @ pairs
+    return _factor(system).solve(rhs)[:, None] * directions
+
+
+def _smoothed(normals: np.ndarray, triangles: np.ndarray, rings: int = 4) -> np.ndarray:
+    """Unit normals (V, 3) averaged with their neighbours' ``rings`` times."""
+    joined = adjacency(triangles, len(normals)) + sp.identity(len(normals), format="csr")
+    for _ in range(rings):
+        normals = joined @ normals
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return normals
+
+
+# --- lips ----------------------------------------------------------------------------------------------------------
+
+
+def touching_pairs(model: FaceModel, distance: float = 2.0) -> np.ndarray:
+    """(C, 2) rim vertices that face each other closer than ``distance`` mm in the mean head: the closed lips.
+
+    Only rims (vertices that no depth camera sees) of the frontal region count, and only where the way along the mesh is
+    much longer than the gap.
+    """
+    rim = np.flatnonzero(model.frontal & ~model.depth_valid)
+    if len(rim) == 0:
+        return np.zeros((0, 2), int)
+    pairs = rim[cKDTree(model.mean[rim]).query_pairs(distance, output_type="ndarray")]
+    near = adjacency(model.triangles, len(model.mean))
+    near = near + near @ near + near @ near @ near
+    joined = np.asarray(near[pairs[:, 0], pairs[:, 1]]).ravel() > 0
+    return pairs[~joined]
+
+
+def _pair_matrix(pairs: np.ndarray, n: int) -> sp.csr_matrix:
+    """(C, n) rows v_a - v_b."""
+    rows = np.arange(len(pairs))
+    data = np.concatenate([np.ones(len(pairs)), -np.ones(len(pairs))])
+    return sp.coo_matrix((data, (np.tile(rows, 2), pairs.T.ravel())), (len(pairs), n)).tocsr()
+
+
+def _factor(matrix: sp.spmatrix):
+    """Factorisation of a symmetric positive definite matrix."""
+    options = {"SymmetricMode": True}
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
