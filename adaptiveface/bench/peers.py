@@ -1,0 +1,292 @@
+"""Other libraries doing the tracker's work on the tracker's own inputs, where they are installed.
+
+Every comparison takes what the tracker handed to one of its stages in real frames, and times that stage and its peer on
+it in turn, one thread each. Work that a peer would have to do once per frame before it can start (point clouds and
+normals from the depth map, stacking rows) is left out of its time, in its favour; what both do once for all frames
+(factorisations) counts for neither.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import lsq_linear
+
+from ..mesh import transform_points
+from ..tracking import expression
+from ..tracking.adaptive_pca import AdaptiveModel
+from ..tracking.tracker import FaceTracker
+from ..tracking.types import SampleState
+
+#: CPU seconds of this process, which other programs on the machine do not lengthen; elapsed seconds where that clock is
+#: too coarse (Windows: 16 ms).
+cpu_clock = time.process_time if time.get_clock_info("process_time").resolution < 1e-4 else time.perf_counter
+
+INSTALL = "pip install 'adaptiveface[bench]'"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Median CPU ms of one stage and of a peer on the same inputs; ``peer_ms`` None where the peer is not installed.
+
+    ``agreement``: how far the two results lie apart, in words, "" where they solve it differently.
+    """
+
+    stage: str
+    peer: str
+    ours_ms: float
+    peer_ms: float | None
+    agreement: str = ""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What the tracker's stages were called with, in order: one list of argument tuples per stage."""
+
+    tracker: FaceTracker
+    align: list
+    fit: list
+    solve: list
+    rows: list
+    prefactored: list
+    learn: list
+
+
+def record(tracker: FaceTracker, frames, count: int) -> Recorded:
+    """Track ``frames`` and keep the arguments of the stages that have a peer: of the last ``count`` frames.
+
+    The samples are kept of all frames, because the model's state comes from all of them.
+    """
+    with ExitStack() as stack:
+        learn = stack.enter_context(_recorded(tracker.model, "learn"))
+        for frame in frames[:-count]:
+            tracker.track(frame)
+        calls = [
+            stack.enter_context(_recorded(owner, name))
+            for owner, name in (
+                (tracker.rigid, "align"), (tracker.blendshapes, "fit"), (tracker.blendshapes, "_solve"),
+                (expression, "add_rows"), (tracker.deformation.system, "solve"),
+            )
+        ]  # fmt: skip
+        for frame in frames[-count:]:
+            tracker.track(frame)
+    return Recorded(tracker, *calls, learn)
+
+
+def load_peers() -> list[str]:
+    """Import the peers that are installed, so that a thread limit set afterwards reaches them; their names."""
+    return [name for name in ("open3d", "igl", "sklearn.decomposition") if _optional(name) is not None]
+
+
+@contextmanager
+def _recorded(owner, name: str):
+    """Let ``owner.name`` note the arguments of every call; yields the list."""
+    original, calls = getattr(owner, name), []
+
+    def noting(*arguments):
+        calls.append(tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
+        return original(*arguments)
+
+    own = name in vars(owner)
+    setattr(owner, name, noting)
+    try:
+        yield calls
+    finally:
+        if own:
+            setattr(owner, name, original)
+        else:  # a method: uncover that of the class again
+            delattr(owner, name)
+
+
+def compare_all(recorded: Recorded, limit: int = 40) -> list[Comparison]:
+    """Every comparison, on at most ``limit`` calls each."""
+    comparisons = (rigid_icp, bounded_solve, blendshape_fit, prefactored_solve, incremental_pca)
+    return [compare(recorded, limit) for compare in comparisons]
+
+
+def _in_turn(ours: Callable, peer: Callable | None, inputs: list) -> tuple[float, float | None]:
+    """Median CPU ms of both over the inputs; they take turns, so that both meet the same caches and clock rates."""
+    times = ([], [])
+    for arguments in inputs:
+        for function, spent in zip((ours, peer), times, strict=True):
+            if function is not None:
+                start = cpu_clock()
+                function(*arguments)
+                spent.append((cpu_clock() - start) * 1e3)
+    return float(np.median(times[0])), float(np.median(times[1])) if times[1] else None
+
+
+def _optional(name: str):
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None
+
+
+def _spread(calls: list, limit: int) -> list:
+    return calls[:: max(1, len(calls) // limit)][:limit]
+
+
+# ---- rigid: point-to-plane ICP ---------------------------------------------------------------------------------------
+def rigid_icp(recorded: Recorded, limit: int) -> Comparison:
+    """Open3D's point-to-plane ICP: the same points, depth map, start, reach and number of iterations.
+
+    It searches nearest neighbours in a k-d tree where the tracker projects into the depth map.
+    """
+    o3d, p = _optional("open3d"), recorded.tracker.parameters.rigid
+    inputs, peer = [], None
+    for surface, shape, normals, pose in _spread(recorded.align, limit):
+        clouds = (None, None) if o3d is None else _clouds(o3d, surface, transform_points(pose, shape))
+        inputs.append((surface, shape, normals, pose, *clouds))
+    if o3d is not None:
+        registration = o3d.pipelines.registration
+        plane = registration.TransformationEstimationPointToPlane()
+        # Zero tolerances: exactly as many iterations as the tracker makes.
+        criteria = registration.ICPConvergenceCriteria(0.0, 0.0, p.iterations)
+
+        def peer(surface, shape, normals, pose, source, target):
+            return registration.registration_icp(source, target, p.prune, np.eye(4), plane, criteria)
+
+    def ours(surface, shape, normals, pose, *_):
+        return recorded.tracker.rigid.align(surface, shape, normals, pose)
+
+    return Comparison("rigid", "Open3D point-to-plane ICP", *_in_turn(ours, peer, inputs))
+
+
+def _clouds(o3d, surface, points: np.ndarray):
+    """The tracker's points, and the depth map's points with normals, as Open3D point clouds."""
+    v, u = np.nonzero(surface.valid)
+    pixels = np.stack([u + surface.origin[0], v + surface.origin[1]], axis=1).astype(float)
+    depth = surface.depth[v, u].astype(float)
+    gradient_u, gradient_v = surface.gradient_u[v, u].astype(float), surface.gradient_v[v, u].astype(float)
+    camera = surface.camera
+    along = depth + (pixels[:, 0] - camera.cx) * gradient_u + (pixels[:, 1] - camera.cy) * gradient_v
+    normals = np.stack([camera.fx * gradient_u, camera.fy * gradient_v, -along], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    source, target = o3d.geometry.PointCloud(), o3d.geometry.PointCloud()
+    source.points = o3d.utility.Vector3dVector(points)
+    target.points = o3d.utility.Vector3dVector(camera.back_project(pixels, depth))
+    target.normals = o3d.utility.Vector3dVector(normals)
+    return source, target
+
+
+# ---- blendshapes: bounded least squares ------------------------------------------------------------------------------
+def bounded_solve(recorded: Recorded, limit: int) -> Comparison:
+    """scipy's ``lsq_linear`` on the normal equations of one round, as the equivalent square system R z = R^-T g."""
+    fit = recorded.tracker.blendshapes
+    inputs = []
+    for equations, x in _spread(recorded.solve, limit):
+        factor = np.linalg.cholesky(equations.h)
+        inputs.append((equations, x, factor.T, np.linalg.solve(factor, equations.g)))
+
+    def ours(equations, x, *_):
+        return np.concatenate(fit._solve(equations, x))
+
+    def peer(equations, x, matrix, target):
+        return lsq_linear(matrix, target, _bounds(fit.parameters, len(x)), method="bvls").x
+
+    apart = max(np.abs(ours(*i) - peer(*i))[6:].max() for i in inputs)
+    return Comparison("bounded solve", "scipy lsq_linear", *_in_turn(ours, peer, inputs), f"{apart:.0e} apart")
+
+
+def blendshape_fit(recorded: Recorded, limit: int) -> Comparison:
+    """The whole blendshape stage (search, rows and solve) against ``lsq_linear`` on the rows it stacked, no search."""
+    fit = recorded.tracker.blendshapes
+    rounds = len(recorded.solve) // len(recorded.fit)
+    systems = _tall_systems(recorded)
+    grouped = [systems[k * rounds : (k + 1) * rounds] for k in range(len(recorded.fit))]
+    inputs = _spread([(arguments, group) for arguments, group in zip(recorded.fit, grouped, strict=True)], limit)
+
+    def ours(arguments, _):
+        return fit.fit(*arguments)
+
+    def peer(arguments, group):
+        return [lsq_linear(matrix, target, _bounds(fit.parameters, matrix.shape[1] - 6)).x for matrix, target in group]
+
+    solved = [(peer(*entry)[-1][6:], ours(*entry)[1]) for entry in inputs]
+    apart = max(np.abs(theirs - own).max() for theirs, own in solved)
+    name = f"scipy lsq_linear on the rows, {rounds} times"
+    return Comparison("blendshapes", name, *_in_turn(ours, peer, inputs), f"{apart:.0e} apart")
+
+
+def _bounds(parameters, count: int):
+    """The pose update is free, the coefficients are bounded."""
+    free, ones = np.full(6, np.inf), np.ones(count)
+    return np.concatenate([-free, parameters.lower * ones]), np.concatenate([free, parameters.upper * ones])
+
+
+def _tall_systems(recorded: Recorded) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(matrix (m, 6 + A), target (m,)) of every solve: the rows given to ``add_rows``, and the diagonal penalties."""
+    by_equations: dict[int, list] = {}
+    for equations, jacobian, residual, weights, current in recorded.rows:
+        by_equations.setdefault(id(equations), []).append((jacobian, residual, weights, current))
+    systems = []
+    for equations, _ in recorded.solve:
+        matrices, targets = [], []
+        for jacobian, residual, weights, current in by_equations[id(equations)]:
+            root = np.sqrt(weights)
+            matrices.append(root[:, None] * jacobian)
+            targets.append(root * (jacobian @ current - residual))
+        matrix, target = np.concatenate(matrices), np.concatenate(targets)
+        penalty = np.sqrt(np.maximum(np.diag(equations.h - matrix.T @ matrix), 1e-12))
+        extra = (equations.g - matrix.T @ target) / penalty
+        systems.append((np.concatenate([matrix, np.diag(penalty)]), np.concatenate([target, extra])))
+    return systems
+
+
+# ---- laplacian: prefactored solve ------------------------------------------------------------------------------------
+def prefactored_solve(recorded: Recorded, limit: int) -> Comparison:
+    """libigl's ``min_quad_with_fixed`` with the same matrix A0, factorised once; three right-hand sides."""
+    deformation, igl = recorded.tracker.deformation, _optional("igl")
+    inputs, peer, agreement = _spread(recorded.prefactored, limit), None, ""
+    ours = deformation.system.solve
+    if igl is not None and hasattr(igl, "min_quad_with_fixed_data"):
+        n = deformation.system.smoothing.shape[0]
+        matrix = sp.csc_matrix(deformation.system.smoothing + deformation.w1 * sp.identity(n))
+        data = igl.min_quad_with_fixed_data()
+        igl.min_quad_with_fixed_precompute(
+            matrix, np.zeros(0, np.int64), sp.csc_matrix((0, n), dtype=float), True, data
+        )
+        nothing = np.zeros((0, 3))
+
+        def peer(right):  # it minimises z^T A z / 2 + z^T B
+            return igl.min_quad_with_fixed_solve(data, -right, nothing, nothing)
+
+        apart = max(np.abs(ours(*i) - peer(*i)).max() / np.abs(ours(*i)).max() for i in inputs)
+        agreement = f"{apart:.0e} apart (relative)"
+    return Comparison("prefactored solve", "libigl min_quad_with_fixed", *_in_turn(ours, peer, inputs), agreement)
+
+
+# ---- adaptive PCA ----------------------------------------------------------------------------------------------------
+def incremental_pca(recorded: Recorded, limit: int) -> Comparison:
+    """scikit-learn's ``IncrementalPCA``: one new valid sample, after the samples of the buffer."""
+    tracker, decomposition = recorded.tracker, _optional("sklearn.decomposition")
+    p = tracker.parameters.adaptive_pca
+    model = AdaptiveModel(tracker.actor, tracker.blendshapes.basis, p)
+    judged = [(arguments, *model.classify(arguments[0])) for arguments in recorded.learn]
+    valid = [(arguments, residual) for arguments, state, residual, _ in judged if state is SampleState.LEARNED]
+    split = max(len(valid) - limit, 0)
+    for arguments, _ in valid[:split]:
+        model.learn(*arguments)
+    inputs = [(arguments, residual[None]) for arguments, residual in valid[split:]]
+    if not inputs:
+        return Comparison("adaptive_pca", "no valid sample to learn", float("nan"), None)
+
+    def ours(arguments, _):
+        model.learn(*arguments)
+
+    peer = None
+    if decomposition is not None and min(model.count, split) >= p.K > 0:
+        pca = decomposition.IncrementalPCA(n_components=p.K)
+        pca.partial_fit(np.array([residual for _, residual in valid[split - min(model.count, split) : split]]))
+
+        def peer(_, sample):
+            pca.partial_fit(sample)
+
+    return Comparison("adaptive_pca", "scikit-learn IncrementalPCA", *_in_turn(ours, peer, inputs))

@@ -1,0 +1,130 @@
+"""``adaptiveface bench``: the tracker's time per stage, beside the paper's figures and beside peers."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
+
+from ..actor import Actor
+from ..frame import RgbdFrame
+from ..parameters import Parameters
+from ..tracking.tracker import FaceTracker
+from ..tracking.types import STAGE_NAMES
+from .paper import PAPER_MS, PAPER_SUM_MS
+from .peers import INSTALL, Comparison, compare_all, cpu_clock, load_peers, record
+from .scene import bench_scene
+
+FRAMES = 300
+#: Frames whose stage inputs are kept for the peers.
+RECORDED = 60
+
+
+@dataclass(frozen=True)
+class Timings:
+    """``stage_ms`` (F, S) elapsed ms of the timed frames, one column for each of ``STAGE_NAMES``.
+
+    cpu_ms (F,): CPU time of the whole ``track`` call; learned: PCA updates in these frames; the sizes of the mesh.
+    """
+
+    stage_ms: np.ndarray
+    cpu_ms: np.ndarray
+    learned: int
+    n_vertices: int
+    n_frontal: int
+
+
+def time_stages(actor: Actor, frames: list[RgbdFrame], parameters: Parameters | None = None) -> Timings:
+    """Track ``frames`` twice with learning on and keep the times of the second pass.
+
+    The first pass compiles (or loads) the kernels and fills the sample buffer, whose size the update's cost grows with.
+    """
+    tracker = FaceTracker(actor, parameters)
+    for frame in frames:
+        tracker.track(frame)
+    before, rows, cpu = tracker.model.updates, [], []
+    gc.disable()  # a collection inside a stage is the list's cost, not the stage's
+    try:
+        for frame in frames:
+            start = cpu_clock()
+            ms = tracker.track(frame).stage_ms
+            cpu.append((cpu_clock() - start) * 1e3)
+            rows.append([ms[name] for name in STAGE_NAMES])
+    finally:
+        gc.enable()
+    learned = tracker.model.updates - before
+    return Timings(np.array(rows), np.array(cpu), learned, len(actor.neutral), int(actor.frontal.sum()))
+
+
+def stage_table(timings: Timings) -> str:
+    """Median and 95th percentile of every stage and of their sum, ms, beside the paper's figures."""
+    rows = [(name, timings.stage_ms[:, k], PAPER_MS.get(name)) for k, name in enumerate(STAGE_NAMES)]
+    rows.append(("sum of stages", timings.stage_ms.sum(axis=1), PAPER_SUM_MS))
+    lines = [f"{'ms per frame':<20}{'median':>9}{'95 %':>9}{'paper':>9}{'of it':>9}"]
+    for name, values, paper in rows:
+        median, p95 = np.percentile(values, [50, 95])
+        beside = f"{paper:>9.1f}{median / paper:>9.0%}" if paper else f"{'-':>9}{'-':>9}"
+        lines.append(f"{name:<20}{median:>9.2f}{p95:>9.2f}{beside}")
+    lines.append(
+        f"{'CPU time of track()':<20}{np.median(timings.cpu_ms):>9.2f}{np.percentile(timings.cpu_ms, 95):>9.2f}"
+    )
+    return "\n".join(lines)
+
+
+def peer_table(comparisons: list[Comparison]) -> str:
+    """Every stage beside its peer on the same inputs, CPU ms (medians)."""
+    lines = [f"{'same inputs, CPU ms':<20}{'ours':>9}{'peer':>9}{'ratio':>9}   peer"]
+    for entry in comparisons:
+        if entry.peer_ms is None:
+            lines.append(f"{entry.stage:<20}{entry.ours_ms:>9.2f}{'-':>9}{'-':>9}   {entry.peer}: {INSTALL}")
+            continue
+        note = f" ({entry.agreement})" if entry.agreement else ""
+        ratio = f"{entry.peer_ms / entry.ours_ms:.1f}x"
+        lines.append(f"{entry.stage:<20}{entry.ours_ms:>9.2f}{entry.peer_ms:>9.2f}{ratio:>9}   {entry.peer}{note}")
+    return "\n".join(lines)
+
+
+def verdict(timings: Timings, comparisons: list[Comparison]) -> str:
+    """The two claims in words: a third of the paper's sum, every stage faster than its peer."""
+    median = float(np.median(timings.stage_ms.sum(axis=1)))
+    limit = PAPER_SUM_MS / 3
+    lines = [f"sum of stages {median:.2f} ms, {'within' if median <= limit else 'ABOVE'} a third of the paper's "
+             f"({limit:.2f} ms)"]  # fmt: skip
+    slower = [entry for entry in comparisons if entry.peer_ms is not None and entry.peer_ms <= entry.ours_ms]
+    compared = sum(entry.peer_ms is not None for entry in comparisons)
+    lines.append(
+        f"slower than its peer: {', '.join(entry.stage for entry in slower)}" if slower
+        else f"faster than its peer in {compared} of {compared} comparisons"
+    )  # fmt: skip
+    return "\n".join(lines)
+
+
+def _load() -> str:
+    """How busy the machine is, in words; other programs' work shows in the figures."""
+    busy, cores = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0, os.cpu_count() or 1
+    return f"; load {busy:.1f} on {cores} cores" + (": BUSY, the figures are inflated" if busy > cores else "")
+
+
+def main(args=None) -> int:
+    """Run everything and print the tables; ``args``: the command line's namespace (its ``frames``, where present)."""
+    frames = getattr(args, "frames", None) or FRAMES
+
+    def bar(numbers):
+        return tqdm(numbers, desc="rendering", unit="frame", leave=False, disable=None, file=sys.stderr)
+
+    load_peers()
+    with threadpool_limits(limits=1):
+        actor, scene = bench_scene(frames, progress=bar)
+        timings = time_stages(actor, scene)
+        comparisons = compare_all(record(FaceTracker(actor), scene, min(RECORDED, frames // 2)))
+    print(
+        f"{timings.n_vertices} vertices, {timings.n_frontal} of them frontal; {len(timings.stage_ms)} frames, learning "
+        f"on ({timings.learned} of them learned); one BLAS thread{_load()}"
+    )
+    print(f"\n{stage_table(timings)}\n\n{peer_table(comparisons)}\n\n{verdict(timings, comparisons)}")
+    return 0

@@ -1,0 +1,86 @@
+"""The bench prints what it claims, and its peers solve the tracker's own problems."""
+
+import numpy as np
+import pytest
+
+from adaptiveface.bench import peers, run, run_bench
+from adaptiveface.bench.paper import PAPER_MS, PAPER_SUM_MS
+from adaptiveface.bench.peers import Comparison
+from adaptiveface.bench.scene import bench_scene
+from adaptiveface.tracking.tracker import FaceTracker
+from adaptiveface.tracking.types import STAGE_NAMES
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    actor, frames = bench_scene(36)
+    return peers.record(FaceTracker(actor), frames, 6)
+
+
+def test_paper_figures_add_up():
+    assert PAPER_SUM_MS == pytest.approx(22.4) and set(PAPER_MS) <= set(STAGE_NAMES)
+
+
+def test_stages_are_recorded_once_per_frame(recorded):
+    rounds = recorded.tracker.parameters.blendshapes.iterations
+    assert len(recorded.align) == len(recorded.fit) == 6 and len(recorded.solve) == 6 * rounds
+    assert len(recorded.learn) == 36
+    assert "align" not in vars(recorded.tracker.rigid)  # the tracker is itself again
+
+
+def test_bounded_problems_given_to_scipy_have_our_solution(recorded):
+    for compare in (peers.bounded_solve, peers.blendshape_fit):
+        entry = compare(recorded, 3)
+        assert entry.peer_ms > 0 and entry.ours_ms > 0
+        assert float(entry.agreement.split()[0]) < 1e-4
+
+
+def test_incremental_pca_learns_the_same_samples(recorded):
+    pytest.importorskip("sklearn")
+    entry = peers.incremental_pca(recorded, 5)
+    assert entry.ours_ms > 0 and entry.peer_ms > 0
+
+
+def test_optional_peers_agree_where_installed(recorded):
+    pytest.importorskip("igl")
+    assert float(peers.prefactored_solve(recorded, 3).agreement.split()[0]) < 1e-9
+
+
+def test_point_clouds_of_the_icp_peer_are_the_tracked_surface(recorded):
+    o3d = pytest.importorskip("open3d")
+    surface, shape, normals, pose = recorded.align[0]
+    source, target = peers._clouds(o3d, surface, shape @ pose[:3, :3].T + pose[:3, 3])
+    near = np.asarray(target.compute_point_cloud_distance(source))
+    assert np.median(near) < 3.0 and (np.asarray(target.normals)[:, 2] < 0).mean() > 0.99
+
+
+def test_missing_peers_are_named_with_the_way_to_install_them(recorded, monkeypatch):
+    monkeypatch.setattr(peers, "_optional", lambda name: None)
+    entries = [peers.rigid_icp(recorded, 2), peers.prefactored_solve(recorded, 2), peers.incremental_pca(recorded, 2)]
+    assert all(entry.peer_ms is None for entry in entries)
+    assert run.peer_table(entries).count("pip install 'adaptiveface[bench]'") == 3
+
+
+def test_tables_of_known_timings():
+    stage_ms = np.tile(np.arange(1.0, 9.0), (100, 1))
+    stage_ms[:10] *= 10
+    timings = run.Timings(stage_ms, np.full(100, 36.0), 90, 7053, 3501)
+    lines = {line.split("  ")[0]: line.split() for line in run.stage_table(timings).splitlines()}
+    assert lines["rigid"][1:] == ["2.00", "20.00", "3.2", "62%"]
+    assert lines["sum of stages"][3:] == ["36.00", "360.00", "22.4", "161%"]
+    slow, fast = Comparison("rigid", "a", 2.0, 1.0), Comparison("laplacian", "b", 1.0, 3.0)
+    assert "ABOVE a third" in run.verdict(timings, [])
+    assert "slower than its peer: rigid" in run.verdict(timings, [slow, fast])
+    quick = run.Timings(stage_ms / 10, np.full(100, 3.6), 90, 7053, 3501)
+    assert "within a third" in run.verdict(quick, [fast]) and "1 of 1" in run.verdict(quick, [fast])
+    assert "3.0x" in run.peer_table([fast])
+
+
+@pytest.mark.slow
+def test_bench_prints_every_stage_and_peer(capsys, monkeypatch):
+    monkeypatch.setattr(run, "FRAMES", 30)
+    monkeypatch.setattr(run, "RECORDED", 4)
+    assert run_bench() == 0
+    text = capsys.readouterr().out
+    for name in (*STAGE_NAMES, "sum of stages", "bounded solve", "prefactored solve", "30 frames, learning on"):
+        assert name in text
