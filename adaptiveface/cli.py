@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from . import __version__
-from .errors import AdaptiveFaceError, ParameterError
+from .errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError, ParameterError
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 
@@ -24,8 +24,8 @@ def main(argv: list[str] | None = None) -> int:
         return args.run(args)
     except AdaptiveFaceError as error:
         return _fail(str(error))
-    except ImportError as error:  # a bare Debian lacks what the OpenCV that MediaPipe brings is linked against
-        return _fail(f"{error} (on Debian or Ubuntu: apt install libegl1 libgles2 libgl1 libglib2.0-0)")
+    except ImportError as error:
+        return _fail(f"{error} ({SYSTEM_LIBRARIES_HINT})")
     except (OSError, MemoryError) as error:
         return _fail(str(error) or "out of memory")
     except KeyboardInterrupt:

@@ -3,6 +3,9 @@
 The command line turns any :class:`AdaptiveFaceError` into one line on stderr and exit status 2.
 """
 
+#: What MediaPipe, and the OpenCV that it brings, are linked against; a bare Debian lacks it.
+SYSTEM_LIBRARIES_HINT = "on Debian or Ubuntu: apt install libegl1 libgles2 libgl1 libglib2.0-0"
+
 
 class AdaptiveFaceError(Exception):
     """Base class: anything the user can act on (a bad file, a bad value, a missing extra)."""

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from ..errors import FeatureDetectionError, MissingExtraError
+from ..errors import SYSTEM_LIBRARIES_HINT, FeatureDetectionError, MissingExtraError
 from ..frame import MEDIAPIPE_INDICES, Features2D, RgbdFrame
 from ..mesh import vertex_normals
 from .model_file import ENVIRONMENT, face_landmarker_file
@@ -55,7 +55,9 @@ class FeatureDetector:
             with _native_stderr_closed():
                 self._landmarker = vision.FaceLandmarker.create_from_options(options)
                 self._landmarker.detect(self._image(np.zeros((64, 64, 3), np.uint8)))  # starts its threads
-        except (RuntimeError, ValueError, OSError) as error:
+        except OSError as error:
+            raise _unloadable(error) from error
+        except (RuntimeError, ValueError) as error:
             raise FeatureDetectionError(
                 f"{path}: MediaPipe cannot use this model ({error}); is {ENVIRONMENT} right?"
             ) from error
@@ -141,8 +143,9 @@ def _import_mediapipe():
             "(recordings with a features.csv work without it)"
         ) from error
     except (ImportError, OSError) as error:
-        raise FeatureDetectionError(
-            f"MediaPipe is installed but cannot be loaded ({error}); on Debian or Ubuntu: "
-            "apt install libegl1 libgles2 libgl1 libglib2.0-0"
-        ) from error
+        raise _unloadable(error) from error
     return mediapipe, vision, BaseOptions
+
+
+def _unloadable(error: Exception) -> FeatureDetectionError:
+    return FeatureDetectionError(f"MediaPipe is installed but cannot be loaded ({error}); {SYSTEM_LIBRARIES_HINT}")
