@@ -1,0 +1,117 @@
+"""The whole way on real sensor data: capture and track the mannequin head with the command line.
+
+The truth is the head's surface as the source's own scanner fused it, in a frame of its own: one rigid transformation for
+all frames together is fitted before distances are measured.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from adaptiveface.cli import main
+from adaptiveface.export.result import Result
+from adaptiveface.mesh import rotation_vector_matrix, transform_points
+from adaptiveface.sensors import Recording
+
+
+@pytest.fixture(scope="module")
+def tracked(mannequin, detector, tmp_path_factory) -> Result:
+    """The recording captured from all its frames and tracked."""
+    folder = tmp_path_factory.mktemp("mannequin")
+    assert main(["capture", str(mannequin), "--out", str(folder / "actor.npz")]) == 0
+    arguments = ["--actor", str(folder / "actor.npz"), "--out", str(folder / "result.npz")]
+    assert main(["track", str(mannequin), *arguments]) == 0
+    return Result.load(folder / "result.npz")
+
+
+@pytest.fixture(scope="module")
+def reference(mannequin) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) mm and normals (n, 3) of the reference cloud, an ASCII PLY in metres."""
+    lines = (mannequin / "reference_cloud.ply").read_text().splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("end_header")) + 1
+    values = np.array([line.split()[:6] for line in lines[start:] if line.strip()], float)
+    return values[:, :3] * 1000, values[:, 3:]
+
+
+def face_points(recording: Recording, result: Result, index: int) -> np.ndarray:
+    """(n, 3) depth points of one frame within 10 mm of the tracked face, taken to the head frame by its rigid pose."""
+    frame = recording.read(index)
+    points = (frame.camera.rays() * frame.depth[..., None])[frame.depth > 0]
+    near, _ = cKDTree(result.vertices[index][result.frontal]).query(points, distance_upper_bound=10.0)
+    return transform_points(np.linalg.inv(result.rigid[index].astype(float)), points[np.isfinite(near)])
+
+
+def residuals(points, tree, normals, transform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Moved points, normals of their closest reference points, signed point-to-plane distances, within 30 mm."""
+    moved = transform_points(transform, points)
+    _, closest = tree.query(moved, distance_upper_bound=30.0)
+    found = closest < tree.n
+    moved, closest = moved[found], closest[found]
+    return moved, normals[closest], ((moved - tree.data[closest]) * normals[closest]).sum(axis=1)
+
+
+def register(points, tree, normals, transform, steps) -> np.ndarray:
+    """Point-to-plane ICP with robust weights."""
+    for _ in range(steps):
+        moved, plane, distance = residuals(points, tree, normals, transform)
+        weight = 1 / np.maximum(np.abs(distance), 1.0)
+        rows = np.concatenate([np.cross(moved, plane), plane], axis=1)
+        solution = np.linalg.solve((rows * weight[:, None]).T @ rows, -(rows * weight[:, None]).T @ distance)
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = rotation_vector_matrix(solution[:3]), solution[3:]
+        transform = step @ transform
+    return transform
+
+
+def onto_reference(points, tree, normals) -> np.ndarray:
+    """(4, 4) head frame to the reference's frame: the best of several starting orientations."""
+    best = (np.inf, np.eye(4))
+    for quarter in range(4):
+        for yaw in (-60, -30, 0, 30, 60):
+            start = np.eye(4)
+            upright = np.diag([1.0, -1.0, -1.0])
+            turn = rotation_vector_matrix(np.array([0, np.radians(yaw), 0])) @ upright
+            start[:3, :3] = rotation_vector_matrix(np.array([0, 0, np.pi / 2 * quarter])) @ turn
+            start[:3, 3] = tree.data.mean(axis=0) - start[:3, :3] @ points.mean(axis=0)
+            transform = register(points[::5], tree, normals, start, 25)
+            moved, _, distance = residuals(points[::5], tree, normals, transform)
+            score = np.median(np.abs(distance)) + 100 * (1 - len(moved) / len(points[::5]))
+            best = min(best, (score, transform), key=lambda pair: pair[0])
+    return register(points, tree, normals, best[1], 10)
+
+
+@pytest.mark.slow
+def test_the_head_is_kept(tracked):
+    assert len(tracked) == 90 and not tracked.skipped.any()
+    assert tracked.tracked.sum() >= 80 and tracked.tracked[9:].sum() >= 78
+
+
+@pytest.mark.slow
+def test_rigid_poses_bring_the_depth_frames_onto_the_reference(tracked, mannequin, reference):
+    """At most 1.2 mm (median, point to plane) over the points of every third tracked frame."""
+    recording, (points, normals) = Recording(mannequin), reference
+    tree = cKDTree(points)
+    clouds = [face_points(recording, tracked, index)[::8] for index in np.flatnonzero(tracked.tracked)[::3]]
+    transform = onto_reference(np.concatenate(clouds), tree, normals)
+    medians = [np.median(np.abs(residuals(cloud, tree, normals, transform)[2])) for cloud in clouds]
+    everything = np.concatenate([residuals(cloud, tree, normals, transform)[2] for cloud in clouds])
+    print(f"median {np.median(np.abs(everything)):.2f} mm, per frame {min(medians):.2f} to {max(medians):.2f} mm")
+    assert np.median(np.abs(everything)) <= 1.2
+
+
+@pytest.mark.slow
+def test_the_final_mesh_lies_on_the_depth(tracked, mannequin):
+    """The mesh's vertices lie on the frame's own depth surface: under 1 mm (median) along the viewing ray."""
+    recording = Recording(mannequin)
+    errors = []
+    for index in np.flatnonzero(tracked.tracked)[20::10]:
+        frame = recording.read(int(index))
+        vertices = tracked.vertices[index][tracked.frontal]
+        u, v = np.rint(frame.camera.project(vertices)).astype(int).T
+        inside = (u >= 0) & (v >= 0) & (u < 240) & (v < 320)
+        depth = frame.depth[v[inside], u[inside]]
+        gap = depth - vertices[inside, 2]
+        errors.append(np.abs(gap[(depth > 0) & (np.abs(gap) < 20)]))
+    assert np.median(np.concatenate(errors)) < 1.0
