@@ -76,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     track.set_defaults(run=run_track)
 
     bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
+    bench.add_argument("--frames", type=_whole(10, 10_000), metavar="N", help="synthetic frames to time")
     bench.set_defaults(run=run_bench)
     return parser
 
@@ -184,7 +185,7 @@ def run_demo(args: argparse.Namespace) -> int:
 
 
 def run_bench(args: argparse.Namespace) -> int:
-    """``bench``."""
+    """``bench``: time every stage on a synthetic performance, beside the paper's figures and other libraries."""
     from .bench import run_bench as run
 
     return run(args)

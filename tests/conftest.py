@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from pathlib import Path
 
@@ -25,7 +26,8 @@ def mannequin() -> Path:
 @pytest.fixture(scope="session")
 def detector():
     """The MediaPipe detector; skips without mediapipe or where its model cannot be fetched."""
-    pytest.importorskip("mediapipe", reason="the extra 'landmarks' is not installed")
+    if importlib.util.find_spec("mediapipe") is None:
+        pytest.skip("mediapipe is not installed (the extra 'landmarks')")
     from adaptiveface.errors import FeatureDetectionError
     from adaptiveface.landmarks import FeatureDetector, face_landmarker_file
 

@@ -1,7 +1,7 @@
 """The whole way on real sensor data: capture and track the mannequin head with the command line.
 
-The truth is the head's surface as the source's own scanner fused it, in a frame of its own: one rigid transformation for
-all frames together is fitted before distances are measured.
+The truth is the head's surface as the source's own scanner fused it, in a frame of its own: one rigid transformation
+for all frames together is fitted before distances are measured.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def register(points, tree, normals, transform, steps) -> np.ndarray:
 
 def onto_reference(points, tree, normals) -> np.ndarray:
     """(4, 4) head frame to the reference's frame: the best of several starting orientations."""
-    best = (np.inf, np.eye(4))
+    few, best = points[::40], (np.inf, np.eye(4))
     for quarter in range(4):
         for yaw in (-60, -30, 0, 30, 60):
             start = np.eye(4)
@@ -75,9 +75,9 @@ def onto_reference(points, tree, normals) -> np.ndarray:
             turn = rotation_vector_matrix(np.array([0, np.radians(yaw), 0])) @ upright
             start[:3, :3] = rotation_vector_matrix(np.array([0, 0, np.pi / 2 * quarter])) @ turn
             start[:3, 3] = tree.data.mean(axis=0) - start[:3, :3] @ points.mean(axis=0)
-            transform = register(points[::5], tree, normals, start, 25)
-            moved, _, distance = residuals(points[::5], tree, normals, transform)
-            score = np.median(np.abs(distance)) + 100 * (1 - len(moved) / len(points[::5]))
+            transform = register(few, tree, normals, start, 25)
+            moved, _, distance = residuals(few, tree, normals, transform)
+            score = np.median(np.abs(distance)) + 100 * (1 - len(moved) / len(few))
             best = min(best, (score, transform), key=lambda pair: pair[0])
     return register(points, tree, normals, best[1], 10)
 
