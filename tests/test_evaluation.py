@@ -11,6 +11,7 @@ from adaptiveface.actor import Actor
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.mesh import rotation_vector_matrix, transform_points, vertex_normals
+from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import SampleState, TrackedFrame
 
@@ -221,6 +222,17 @@ def test_truth_of_a_file_equals_that_of_the_sensor(sensor, tmp_path):
     np.savez(path, vertices=np.zeros((2, 5, 3), np.float32), rigid=np.zeros((3, 4, 4)), performance=np.zeros(2, int))
     with pytest.raises(FileFormatError, match="rigid"):
         ev.GroundTruth.of(path)
+
+
+def test_truth_of_the_synthetic_sensor():
+    sensor = SyntheticSensor(1, neutral_frames=1, frames=2, repeats=2, colour=False)
+    truth = ev.GroundTruth.of(sensor)
+    assert [truth[i].performance for i in range(len(truth))] == [ev.NEUTRAL, ev.FIRST, ev.FIRST, ev.REPEAT, ev.REPEAT]
+    seen = transform_points(np.linalg.inv(truth[0].rigid), truth[0].vertices)
+    assert np.allclose(truth.neutral, seen, atol=1e-6)
+    # without a neutral frame the performer's own neutral still serves
+    no_neutral = SyntheticSensor(1, neutral_frames=0, frames=2, colour=False)
+    assert np.array_equal(ev.GroundTruth.of(no_neutral).neutral, truth.neutral)
 
 
 def test_another_mesh_is_refused(sensor):

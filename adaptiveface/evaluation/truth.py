@@ -59,7 +59,10 @@ class GroundTruth:
             truth = source.ground_truth(index)
             return TruthFrame(np.asarray(truth.vertices, float), np.asarray(truth.rigid, float), int(truth.performance))
 
-        return cls(_mean_neutral(read, len(source)), read, len(source))
+        # A synthetic performer knows its neutral; any other source shows it in its first frames.
+        neutral = getattr(getattr(source, "performer", None), "neutral", None)
+        neutral = _mean_neutral(read, len(source)) if neutral is None else np.asarray(neutral, float)
+        return cls(neutral, read, len(source))
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> GroundTruth:
