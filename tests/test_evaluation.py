@@ -1,6 +1,9 @@
 """The measures on cases whose answer is known, and the scoring of constructed runs."""
 
+import importlib.util
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -273,3 +276,40 @@ def test_ablations_of_a_tracked_smile():
     whole = ev.evaluate_run((FaceTracker(actor).track(f) for f in frames[:1]), Source(), actor, ("v1",))
     assert results["blendshapes only"].surface[0, 0] == pytest.approx(whole.surface[0, 0])
     assert ablation_table(results).count("\n") == len(VARIANTS)
+
+
+# ---- data_synth/evaluate_performers.py
+
+
+@pytest.fixture(scope="module")
+def performers():
+    path = Path(__file__).parents[1] / "data_synth" / "evaluate_performers.py"
+    spec = importlib.util.spec_from_file_location("evaluate_performers", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_cached_frames_are_those_of_the_sensor(performers, tmp_path):
+    sensor = SyntheticSensor(1, "truedepth", neutral_frames=1, frames=1, repeats=2, colour=False)
+    for cached in (performers.CachedFrames(sensor, tmp_path), performers.CachedFrames(sensor, tmp_path)):
+        for index in range(len(sensor)):
+            live, kept = sensor.read(index), cached.read(index)
+            assert np.array_equal(live.depth, kept.depth) and live.timestamp == kept.timestamp
+            assert np.array_equal(live.features.pixels, kept.features.pixels, equal_nan=True)
+            assert np.array_equal(live.features.confidence, kept.features.confidence)
+    other = SyntheticSensor(1, "truedepth", neutral_frames=2, frames=1, repeats=2, colour=False)
+    assert performers.CachedFrames(other, tmp_path).folder != cached.folder
+
+
+def test_verdict_names_the_worst_performer(performers):
+    good = dict(
+        seed=1000, noise="truedepth", surface_median=0.2, surface_p95=0.8, active_share=0.3, lips=0.9, gain_v1=0.3,
+        gain_learning=0.2, lost=0.0,
+    )  # fmt: skip
+    text, all_hold = performers.verdict([good, good | dict(seed=1001)])
+    assert all_hold and text.count("pass") == len(performers.LIMITS)
+    text, all_hold = performers.verdict([good, good | dict(seed=1001, gain_learning=0.1, surface_p95=1.2)])
+    failed = [line for line in text.splitlines() if line.startswith("FAIL")]
+    assert not all_hold and len(failed) == 2 and all("1001 truedepth" in line for line in failed)
