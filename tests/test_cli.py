@@ -99,6 +99,22 @@ def test_capture_then_track_without_an_actor(take, tmp_path, capsys):
     assert status == 0 and Result.load(tmp_path / "r.npz").tracked.all()
 
 
+@pytest.mark.slow
+def test_demo_leaves_actor_result_and_report(tmp_path, capsys):
+    status, printed, err = run(capsys, "demo", "--out", tmp_path / "demo", "--seed", 2, "--frames", 6, "--set", *QUICK)
+    assert (status, err) == (0, "") and "52 frames: 52 tracked" in printed and "repeat       v4" in printed
+    report = tmp_path / "demo" / "report.html"
+    assert str(report) in printed and report.stat().st_size > 50_000
+    assert len(Result.load(tmp_path / "demo" / "result.npz")) == 52 and Actor.load(tmp_path / "demo" / "actor.npz")
+
+
+def test_track_writes_a_report_on_demand(take, tmp_path, capsys):
+    arguments = ["--out", tmp_path / "r.npz", "--report", tmp_path / "report"]
+    status, printed, _ = run(capsys, "track", take[0], "--actor", take[1], *arguments)
+    assert status == 0 and str(tmp_path / "report" / "report.html") in printed
+    assert (tmp_path / "report" / "report.html").stat().st_size > 50_000
+
+
 def test_broken_frames_are_skipped_and_counted(take, tmp_path, capsys):
     recording = tmp_path / "damaged"
     shutil.copytree(take[0], recording)
