@@ -42,8 +42,8 @@ class FaceModel:
     mean (V, 3) mm; triangles (T, 3) int32; identity_modes (M, V, 3) mm per standard deviation; expressions (E, V, 3)
     displacements mm at full activation; generic_weights (A, E): the generic expressions of section 3 as mixtures of the
     units; frontal (V,) bool: the region that deforms; depth_valid (V,) bool: vertices that may take a depth
-    correspondence (not inner lips, lid rims, hidden skin); feature_triangles (40, 3), feature_weights (40, 3): where the
-    2D features of ``frame.FEATURE_IDS`` sit on the surface. Optional: mirror (V,) the vertex on the other side;
+    correspondence (not inner lips, lid rims, hidden skin); feature_triangles (40, 3), feature_weights (40, 3): where
+    the 2D features of ``frame.FEATURE_IDS`` sit on the surface. Optional: mirror (V,) the vertex on the other side;
     eye_mean (Q, 3), eye_modes (M, Q, 3), eye_triangles (U, 3): eyeballs, for pictures only.
     """
 
@@ -99,9 +99,18 @@ def load_face_model(path: str | os.PathLike) -> FaceModel:
     for name, array in data.items():
         if array.dtype.kind == "f":
             data[name] = array.astype(float)
+    # Stored in float32: make the barycentric weights sum to one again.
+    data["feature_weights"] /= data["feature_weights"].sum(axis=1, keepdims=True)
     for name in ("expression_names", "generic_names"):
         data[name] = tuple(str(s) for s in data[name])
     return FaceModel(name=os.path.basename(path), **data)
+
+
+def save_face_model(path: str | os.PathLike, model: FaceModel) -> None:
+    """Write a model, an imported one say, in this package's npz layout (float32; read by :func:`load_face_model`)."""
+    arrays = {name: np.asarray(getattr(model, name)) for name in _FIELDS if getattr(model, name) is not None}
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **{k: a.astype(np.float32) if a.dtype.kind == "f" else a for k, a in arrays.items()})
 
 
 @lru_cache(maxsize=1)

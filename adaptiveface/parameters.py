@@ -83,6 +83,8 @@ class RigidParameters(_Stage):
     """Section 4.1: rigid ICP, loss and recovery."""
 
     prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200)
+    outlier: float = parameter(5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True,
+                               paper=1e6)
     lost: float = parameter(3.0, "mean residual above which the track counts as lost (the paper's stop rule)", unit="mm",
                             section="4.1", low=0.1, high=50)
     iterations: int = parameter(8, "most ICP steps; the paper's 3 mm stop rule would end after one", section="4.1",

@@ -86,7 +86,7 @@ def test_em_converges_to_batch_pca():
 
 
 def test_online_correctives_follow_batch_pca(actor):
-    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(S=120))
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=120))
     samples = samples_outside_anchors(model, 300)
     feed(model, samples)
     assert_orthonormal(model)
@@ -105,7 +105,7 @@ def test_growing_start_explains_a_new_expression_that_the_full_buffer_policy_mis
     """Unexplained energy just after a sample was seen, while the performance moves on and the buffer is not full yet."""
     left_out = {}
     for startup in ("growing", "full-buffer"):
-        model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(S=60, startup=startup))
+        model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=60, startup=startup))
         shares = []
         for sample in samples_outside_anchors(model, 50, rank=7, seed=4, drift=6.0):
             feed(model, [sample])
@@ -118,7 +118,7 @@ def test_growing_start_explains_a_new_expression_that_the_full_buffer_policy_mis
 
 
 def test_full_buffer_policy_updates_once_the_buffer_is_full(actor):
-    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(S=20, startup="full-buffer"))
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=20, startup="full-buffer"))
     samples = samples_outside_anchors(model, 25)
     feed(model, samples[:19])
     assert model.updates == 0 and model.correctives.shape[1] == 7

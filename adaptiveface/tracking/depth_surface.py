@@ -69,11 +69,12 @@ def depth_surface(depth: np.ndarray, camera: Camera, window, parameters: DepthPa
         weight = smooth(clean, sigma)
         return smooth(z * clean, sigma) / np.maximum(weight, 1e-3), weight
 
-    fine, weight = masked_mean(parameters.smoothing)
-    coarse, _ = masked_mean(parameters.normal_smoothing)
+    fine, _ = masked_mean(parameters.smoothing)
+    coarse, support = masked_mean(parameters.normal_smoothing)
     gradient_u = cv2.Sobel(coarse, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     gradient_v = cv2.Sobel(coarse, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
-    valid = clean * (weight > 0.8)
+    # Half of the support is missing on a straight rim: one and a half smoothing lengths inside it, 7 % are.
+    valid = clean * (support > 0.8)
     return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_view)
 
 

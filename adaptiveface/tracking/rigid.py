@@ -91,7 +91,8 @@ class RigidTracker:
             if matches.count < self.parameters.min_matches:
                 return RigidFit(pose, matches, float("inf"))
             centre = transform_points(pose, middle)
-            step = point_to_plane_step(points, matches, centre, self.vertex_weights)
+            robust = self.vertex_weights / (1.0 + (matches.distances / self.parameters.outlier) ** 2)
+            step = point_to_plane_step(points, matches, centre, robust)
             pose = apply_rigid_update(pose, step, centre)
             if FACE_RADIUS * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) < self.parameters.converged:
                 break
