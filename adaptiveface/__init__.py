@@ -1,3 +1,53 @@
-"""adaptiveface: facial performance capture with on-the-fly correctives (Li, Yu, Ye, Bregler 2013)."""
+"""adaptiveface: facial performance capture with on-the-fly correctives (Li, Yu, Ye, Bregler 2013).
+
+The names most programs need; everything else is imported from its module::
+
+    from adaptiveface import FaceTracker, capture_from, open_source
+
+    source = open_source("synthetic")
+    actor = capture_from(source, neutral_frames=40)
+    tracker = FaceTracker(actor)
+    for index in range(len(source)):
+        result = tracker.track(source.read(index))
+"""
+
+from __future__ import annotations
+
+import importlib
 
 __version__ = "0.1.0"
+
+# Imported on first use: `adaptiveface --version` need not load OpenCV and numba.
+_HOME = {
+    "Actor": "actor",
+    "AdaptiveFaceError": "errors",
+    "Camera": "camera",
+    "FaceModel": "face_model",
+    "FaceTracker": "tracking.tracker",
+    "Features2D": "frame",
+    "Parameters": "parameters",
+    "Recording": "sensors.recording",
+    "Result": "export.result",
+    "RgbdFrame": "frame",
+    "SyntheticSensor": "synthetic.sensor",
+    "TrackedFrame": "tracking.types",
+    "capture_actor": "neutral.capture",
+    "capture_from": "pipeline",
+    "embedded_face_model": "face_model",
+    "evaluate_run": "evaluation",
+    "open_source": "sensors",
+    "track_source": "pipeline",
+    "write_report": "report",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str):
+    if name not in _HOME:
+        raise AttributeError(f"module 'adaptiveface' has no attribute '{name}'")
+    return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
