@@ -128,8 +128,7 @@ class LaplacianDeformation:
         strength = self.w1 * matches.weights
         correction = self._feature_correction(term)
         displacement = start.copy()
-        residual = -(strength * matches.distances)[:, None] * normals - self._apply(displacement, strength, normals, term)
-        self._add_pull(residual, term, term.targets)
+        residual = self.right_hand_side(matches, normals, term) - self._apply(displacement, strength, normals, term)
         direction, previous = np.zeros_like(residual), 1.0
         for step in range(steps):
             preconditioned = self._precondition(residual, correction)
@@ -143,6 +142,12 @@ class LaplacianDeformation:
             residual -= length * image
             previous = slope
         return displacement
+
+    def right_hand_side(self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
+        """b (n, 3) of the normal equations A d = b: depth pulls along ``normals`` (n, 3), features pull at their corners."""
+        right = -(self.w1 * matches.weights * matches.distances)[:, None] * normals
+        self._add_pull(right, term, term.targets)
+        return right
 
     def _add_pull(self, field: np.ndarray, term: FeatureTerm, values: np.ndarray) -> None:
         """field += H^T W values, in place."""
