@@ -51,7 +51,9 @@ def write_report(
     ]  # fmt: skip
     path = Path(out_dir) / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8")
+    unfinished = path.with_suffix(".html.part")
+    unfinished.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8")
+    os.replace(unfinished, path)
     return path
 
 
