@@ -1,0 +1,171 @@
+"""Characters: a neutral mesh with named expression shapes, driven by a tracked performance (paper, section 6)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileFormatError, ParameterError
+from ..face_model import FaceModel, embedded_face_model
+from ..npz import Field, check_indices, load_checked
+from .arkit import ARKIT_NAMES, canonical_name
+
+#: Built-in characters, made by ``data_synth/build_characters.py`` from the assets of the embedded face model.
+BUILT_IN = ("baby", "hag", "ogre")
+#: Displacements in character files are whole numbers of this many millimetres.
+STEP_MM = 0.04
+
+_FIELDS = {
+    "neutral": Field(("V", 3)),
+    "triangles": Field(("T", 3), "iu"),
+    "colours": Field(("V", 3), "u", optional=True),
+    "moving": Field(("M",), "iu"),
+    "expressions": Field(("E", "M", 3), "i"),
+    "expression_names": Field(("E",), "U"),
+    "skin": Field((), "iu", optional=True),
+}
+
+
+@dataclass(frozen=True)
+class Character:
+    """A face to be driven. V vertices, T triangles, E expressions.
+
+    neutral (V, 3) mm in the head frame (x to the subject's left, y up, z out of the face); triangles (T, 3) int32;
+    expression_names (E,) as in the file; expressions (E, V, 3) mm, displacements at full activation; colours (V, 3)
+    uint8 sRGB or None; skin: the first ``skin`` vertices are the skin, in the order of the tracking mesh where the
+    character was made from it (0: another topology); notes: what the loader left out or merged, one line each.
+    """
+
+    name: str
+    neutral: np.ndarray
+    triangles: np.ndarray
+    expression_names: tuple[str, ...]
+    expressions: np.ndarray
+    colours: np.ndarray | None = None
+    skin: int = 0
+    notes: tuple[str, ...] = ()
+
+    def shape(self, weights: np.ndarray) -> np.ndarray:
+        """(V, 3) mm, or (F, V, 3), for weights (E,) or (F, E) of the expressions."""
+        flat = self.expressions.reshape(len(self.expressions), -1)
+        return self.neutral + (weights @ flat).reshape(*np.shape(weights)[:-1], -1, 3)
+
+    @property
+    def drivers(self) -> tuple[str | None, ...]:
+        """(E,) ARKit name that drives each expression, None where there is none."""
+        return tuple(canonical_name(name) for name in self.expression_names)
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Expressions that no ARKit shape drives: they stay at zero."""
+        return tuple(name for name, arkit in zip(self.expression_names, self.drivers, strict=True) if arkit is None)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """ARKit shapes that the character does not have."""
+        return tuple(name for name in ARKIT_NAMES if name not in self.drivers)
+
+    def weights(self, curves: np.ndarray) -> np.ndarray:
+        """(F, E) weights of the character's expressions for ARKit curves (F, 52)."""
+        out = np.zeros((len(curves), len(self.expression_names)))
+        for e, name in enumerate(self.drivers):
+            if name is not None:
+                out[:, e] = curves[:, ARKIT_NAMES.index(name)]
+        return out
+
+    def shares_topology(self, triangles: np.ndarray) -> bool:
+        """Whether the skin is the mesh ``triangles`` (T, 3), vertex by vertex."""
+        count = len(triangles)
+        return self.skin > 0 and len(self.triangles) >= count and np.array_equal(self.triangles[:count], triangles)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write a character npz; displacements are rounded to ``STEP_MM``."""
+        moving = np.flatnonzero(np.abs(self.expressions).max(axis=(0, 2)) > STEP_MM / 2)
+        steps = np.rint(self.expressions[:, moving] / STEP_MM)
+        if np.abs(steps).max(initial=0) > 32767:
+            raise FileFormatError(f"{path}: displacements beyond {32767 * STEP_MM:g} mm cannot be stored")
+        small = np.uint16 if len(self.neutral) <= 65536 else np.uint32
+        arrays = dict(
+            neutral=self.neutral.astype(np.float32), triangles=self.triangles.astype(small),
+            moving=moving.astype(small), expressions=steps.astype(np.int16),
+            expression_names=np.array(self.expression_names), skin=np.array(self.skin, np.uint32),
+        )  # fmt: skip
+        if self.colours is not None:
+            arrays["colours"] = self.colours.astype(np.uint8)
+        with open(path, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+
+
+def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Character:
+    """Read a file of :meth:`Character.save`; raises :class:`FileFormatError` naming what is wrong."""
+    data = load_checked(path, _FIELDS, max_bytes=1 << 30)
+    n = len(data["neutral"])
+    for key in ("triangles", "moving"):
+        check_indices(path, key, data[key], n)
+    expressions = np.zeros((len(data["expressions"]), n, 3))
+    expressions[:, data["moving"]] = data["expressions"] * STEP_MM
+    skin = int(data.get("skin", 0))
+    if skin > n:
+        raise FileFormatError(f"{path}: 'skin' = {skin}, but there are {n} vertices")
+    names = tuple(str(text) for text in data["expression_names"])
+    return Character(name or Path(path).stem, data["neutral"].astype(float), data["triangles"].astype(np.int32), names,
+                     expressions, data.get("colours"), skin)  # fmt: skip
+
+
+def load_character(source: str | os.PathLike) -> Character:
+    """A built-in character by name, or one from a file or folder: .npz, .glb, .gltf, .vrm, a folder of OBJ files.
+
+    Raises :class:`FileFormatError` naming the file and the reason; :class:`ParameterError` for an unknown name.
+    """
+    text = os.fspath(source)
+    path = Path(text)
+    if text in BUILT_IN:
+        return load_character_npz(str(files("adaptiveface") / "assets" / f"characters_{text}.npz"), text)
+    if path.is_dir():
+        from .obj_folder import load_obj_folder
+
+        return load_obj_folder(path)
+    if path.suffix.lower() in (".glb", ".gltf", ".vrm"):
+        from .gltf_character import load_gltf_character
+
+        return load_gltf_character(path)
+    if path.suffix.lower() == ".npz":
+        return load_character_npz(path)
+    raise ParameterError(
+        f"character '{text[:200]}': neither built in ({', '.join(BUILT_IN)}) nor a .glb, .gltf, .vrm or .npz file or a "
+        "folder of OBJ files"
+    )
+
+
+def average_character(model: FaceModel | None = None) -> Character:
+    """The mean head of a face model with its expression units: the plainest character."""
+    model = embedded_face_model() if model is None else model
+    return Character("average", model.mean, model.triangles, model.expression_names, model.expressions,
+                     skin=len(model.mean))  # fmt: skip
+
+
+def make_character(
+    name: str, neutral: np.ndarray, triangles: np.ndarray, shapes: Sequence[tuple[str, np.ndarray]], **options
+) -> Character:
+    """A character from absolute target meshes: ``shapes`` of (name, displacement (V, 3) mm), merged by ARKit name.
+
+    Halves of a shape that ARKit does not split (ICT-FaceKit's ``browInnerUp_L`` and ``_R``) add up to the whole, which
+    ``notes`` says; a second shape with the same name is an error of the caller.
+    """
+    notes = list(options.pop("notes", ()))
+    merged: dict[str, np.ndarray] = {}
+    origin: dict[str, list[str]] = {}
+    for shape, displacement in shapes:
+        target = canonical_name(shape) or shape
+        split = target in origin
+        merged[target] = merged[target] + displacement if split else displacement
+        origin.setdefault(target, []).append(shape)
+    notes += [f"{' + '.join(parts)} make {target}" for target, parts in origin.items() if len(parts) > 1]
+    expressions = np.stack(list(merged.values())) if merged else np.zeros((0, len(neutral), 3))
+    names = tuple(parts[0] if len(parts) == 1 else target for target, parts in origin.items())
+    return Character(name, neutral, triangles, names, expressions, notes=tuple(notes), **options)

@@ -1,0 +1,88 @@
+"""Retargeting: from a tracked result to curves that drive any character (paper, section 6 and figure 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..export.result import Result
+from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
+from .character import Character
+from .smoothing import OneEuro
+
+#: Which coefficients drive the target: those of the initial blendshape fit, or those re-solved from the final mesh v4.
+COEFFICIENTS = ("resolved", "initial")
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What a character needs to perform: F frames.
+
+    curves (F, 52) ARKit curves in [0, 1], columns ``ARKIT_NAMES``; timestamps (F,) s; rigid (F, 4, 4) head to camera,
+    mm; unknown: expressions of the result that have no ARKit counterpart and therefore do not show.
+    """
+
+    curves: np.ndarray
+    timestamps: np.ndarray
+    rigid: np.ndarray
+    unknown: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.curves)
+
+    @property
+    def fps(self) -> float:
+        """Frames per second of the recording (from the median distance of its timestamps)."""
+        return frame_rate(self.timestamps)
+
+    def smoothed(self, smoothing: OneEuro | None) -> Performance:
+        """The same performance with filtered curves; None leaves them as they are."""
+        if smoothing is None:
+            return self
+        return replace(self, curves=np.clip(smoothing.apply(self.curves, self.timestamps), 0, 1))
+
+
+def frame_rate(timestamps: np.ndarray) -> float:
+    """Frames per second of increasing timestamps (F,) s; 30 where they cannot tell."""
+    steps = np.diff(timestamps)
+    steps = steps[steps > 1e-6]
+    return float(1.0 / np.median(steps)) if len(steps) else 30.0
+
+
+def retarget(result: Result, coefficients: str = "resolved", smoothing: OneEuro | None = None) -> Performance:
+    """The performance of a tracked result.
+
+    ``coefficients``: "resolved" (section 6: the bounded fit of the actor's blendshapes to the final mesh v4) or
+    "initial" (section 4.2, what the paper compares with in figure 8). Raises :class:`ParameterError`.
+    """
+    if coefficients not in COEFFICIENTS:
+        raise ParameterError(f"coefficients = {coefficients!r}: one of {', '.join(COEFFICIENTS)} is expected")
+    values = result.coefficients if coefficients == "resolved" else result.coefficients_initial
+    table = arkit_weights(result.expression_names)
+    performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float),
+                              table.unknown)  # fmt: skip
+    return performance.smoothed(smoothing)
+
+
+def increasing(timestamps: np.ndarray) -> np.ndarray:
+    """(F,) s from 0 on, strictly increasing: repeated or falling times are replaced by the frame rate's."""
+    times = np.asarray(timestamps, float)
+    times = times - times[:1]
+    if np.isfinite(times).all() and (np.diff(times) > 1e-6).all():
+        return times
+    finite = np.where(np.isfinite(times), times, 0.0)
+    return np.arange(len(times)) / frame_rate(finite)
+
+
+def coverage(table: ArkitWeights, character: Character) -> list[str]:
+    """What will not show, one line each: unknown expressions, driven ARKit shapes that the character lacks."""
+    driven = [ARKIT_NAMES[i] for i in np.flatnonzero(np.abs(table.matrix).max(axis=0) > 0)]
+    lines = [f"no ARKit counterpart: {', '.join(table.unknown)}"] if table.unknown else []
+    missing = [name for name in driven if name in character.missing]
+    if missing:
+        lines.append(f"{character.name} lacks: {', '.join(missing)}")
+    if character.unknown:
+        lines.append(f"{character.name} has shapes that nothing drives: {', '.join(character.unknown)}")
+    return lines + list(character.notes)

@@ -1,0 +1,148 @@
+"""What is inside a head: eyeballs with irises, teeth, tongue and the dark of the mouth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from face_model.makehuman import MakeHuman
+
+from adaptiveface.mesh import rotation_vector_matrix
+
+#: Degrees of an eyeball's turn at full activation, and the angles (degrees from the gaze) of the rings of its mesh.
+GAZE = {"eyeLookIn": 26.0, "eyeLookOut": 26.0, "eyeLookUp": 20.0, "eyeLookDown": 22.0}
+RINGS = (0.0, 7.0, 13.0, 13.2, 20.0, 27.0, 29.0, 29.2, 36.0, 45.0, 57.0, 72.0, 90.0, 112.0, 140.0, 180.0)
+PUPIL, IRIS, LIMBUS = 13.1, 28.0, 29.1
+SECTORS = 20
+
+
+@dataclass
+class Part:
+    """A piece of the character: vertices (n, 3) mm, triangles (t, 3), colours (n, 3), displacements by expression."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    colours: np.ndarray
+    expressions: dict[str, np.ndarray]
+
+
+def eyeball(centre: np.ndarray, radius: float, side: str, iris: tuple) -> Part:
+    """A sphere whose pole looks along +z; ``side`` is Left or Right."""
+    angle = np.radians(np.array(RINGS))
+    around = 2 * np.pi * np.arange(SECTORS) / SECTORS
+    ring = np.stack([np.cos(around), np.sin(around), np.zeros(SECTORS)], axis=1)
+    points, rings = [[0.0, 0.0, 1.0]], []
+    for a in angle[1:-1]:
+        rings.append(len(points) + np.arange(SECTORS))
+        points += list(np.sin(a) * ring + [0.0, 0.0, np.cos(a)])
+    points.append([0.0, 0.0, -1.0])
+    unit = np.array(points)
+    triangles = [[0, rings[0][k], rings[0][(k + 1) % SECTORS]] for k in range(SECTORS)]
+    for inner, outer in zip(rings[:-1], rings[1:], strict=True):
+        for k in range(SECTORS):
+            n = (k + 1) % SECTORS
+            triangles += [[inner[k], outer[k], outer[n]], [inner[k], outer[n], inner[n]]]
+    triangles += [[rings[-1][k], len(unit) - 1, rings[-1][(k + 1) % SECTORS]] for k in range(SECTORS)]
+    from_gaze = np.degrees(np.arccos(np.clip(unit[:, 2], -1, 1)))
+    colours = np.full((len(unit), 3), (238, 234, 228), float)
+    shade = np.clip((from_gaze - PUPIL) / (IRIS - PUPIL), 0, 1)[:, None]
+    colours[from_gaze < LIMBUS] = ((0.75 + 0.45 * shade) * np.array(iris))[from_gaze < LIMBUS]
+    colours[(from_gaze > 26.5) & (from_gaze < LIMBUS)] *= 0.45
+    colours[from_gaze < PUPIL] = (12, 10, 10)
+    # The cornea: a low dome over the iris catches the light.
+    dome = 1 + 0.045 * np.cos(np.clip(from_gaze / LIMBUS, 0, 1) * np.pi / 2)
+    shape = radius * unit * dome[:, None]
+    expressions = {}
+    for look, degrees in GAZE.items():
+        away = 1.0 if side == "Left" else -1.0  # the subject's left is +x
+        axis = {"eyeLookUp": (-1, 0, 0), "eyeLookDown": (1, 0, 0),
+                "eyeLookOut": (0, away, 0), "eyeLookIn": (0, -away, 0)}  # fmt: skip
+        turn = rotation_vector_matrix(np.radians(degrees) * np.array(axis[look], float))
+        expressions[look + side] = shape @ turn.T - shape
+    return Part(centre + shape, np.array(triangles), np.clip(colours, 0, 255), expressions)
+
+
+def sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of the sphere through points (n, 3), least squares."""
+    system = np.column_stack([2 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    return solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
+
+
+def mouth_cavity(skin: Part, loop: np.ndarray, scale: float, colour) -> Part:
+    """The dark behind the lips: the mouth's rim (vertices ``loop`` of the skin, in order) drawn inwards and closed.
+
+    It starts on the rim and moves with it, so that no light shines through between lips and cavity.
+    """
+    rim = skin.vertices[loop]
+    height = _opening(rim) * 13.0 * scale
+    depths, spreads, follow = (0.0, 5.0, 16.0, 42.0), (0.0, 0.25, 0.75, 0.75), (1.0, 0.95, 0.85, 0.6)
+    middle = rim.mean(axis=0)
+    rings = []
+    for depth, spread in zip(depths, spreads, strict=True):
+        ring = rim + np.stack([np.zeros(len(rim)), spread * height, np.full(len(rim), -depth * scale)], axis=1)
+        ring[:, 0] = middle[0] + (rim[:, 0] - middle[0]) * (1 - 0.35 * (depth / depths[-1]) ** 2)
+        rings.append(ring)
+    count, n = len(rings), len(rim)
+    vertices = np.concatenate([*rings, [rings[-1].mean(axis=0)]])
+    triangles = []
+    for k in range(n):
+        j = (k + 1) % n
+        for r in range(count - 1):
+            a, b, c, d = r * n + k, r * n + j, (r + 1) * n + j, (r + 1) * n + k
+            triangles += [[a, d, c], [a, c, b]]
+        triangles.append([(count - 1) * n + k, count * n, (count - 1) * n + j])
+    shade = np.repeat([1.0, 0.8, 0.55, 0.35], n)
+    colours = np.append(shade, 0.3)[:, None] * np.array(colour, float)
+    expressions = {}
+    for name, displacement in skin.expressions.items():
+        at = displacement[loop]
+        if np.abs(at).max() > 0.05:
+            inner = [f * ((1 - s) * at + s * _smooth(at)) for f, s in zip(follow, (0, 0.7, 1, 1), strict=True)]
+            expressions[name] = np.concatenate([*inner, [inner[-1].mean(axis=0)]])
+    return Part(vertices, np.array(triangles), colours, expressions)
+
+
+def _opening(rim: np.ndarray) -> np.ndarray:
+    """(n,) in [-1, 1]: positive on the upper half of the rim, 0 at the corners."""
+    left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
+    out = np.zeros(len(rim))
+    halves = [np.arange(left, left + (right - left) % len(rim) + 1) % len(rim),
+              np.arange(right, right + (left - right) % len(rim) + 1) % len(rim)]  # fmt: skip
+    halves.sort(key=lambda half: rim[half, 1].mean())
+    for half, sign in zip(halves, (-1.0, 1.0), strict=True):
+        out[half] = sign * np.sin(np.pi * np.linspace(0, 1, len(half))) ** 0.6
+    return out
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    for _ in range(6):
+        values = 0.25 * np.roll(values, 1, axis=0) + 0.5 * values + 0.25 * np.roll(values, -1, axis=0)
+    return values
+
+
+def base_part(base: MakeHuman, quads: np.ndarray, head: np.ndarray, scale: float, colour) -> Part:
+    """Quads (Q, 4) of the base mesh as they are on ``head`` (N, 3); expressions scaled by ``scale``."""
+    ids, local = np.unique(quads, return_inverse=True)
+    local = local.reshape(quads.shape)
+    triangles = np.concatenate([local[:, [0, 1, 2]], local[:, [0, 2, 3]]])
+    triangles = triangles[(triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2])
+                          & (triangles[:, 0] != triangles[:, 2])]  # fmt: skip
+    expressions = {}
+    for name in base.face_unit_names():
+        displacement = scale * base.face_unit(name)[ids].astype(float)
+        if np.abs(displacement).max() > 0.05:
+            expressions[name] = displacement
+    colours = np.full((len(ids), 3), colour, float)
+    return Part(head[ids], triangles, colours, expressions)
+
+
+def grow_tusks(part: Part, length: float) -> None:
+    """Draw the lower canines up and forward into tusks, in place."""
+    points = part.vertices
+    middle, half = points[:, 0].mean(), np.ptp(points[:, 0]) / 2
+    top = points[:, 1] > np.quantile(points[:, 1], 0.45)
+    for side in (1, -1):
+        at = np.abs((points[:, 0] - middle) * side / half - 0.66) < 0.14
+        tip = at & top & (points[:, 2] > np.quantile(points[:, 2], 0.3))
+        points[tip] += [side * 0.12 * length, length, 0.75 * length]
