@@ -1,0 +1,189 @@
+"""From a foreign file's arrays to a :class:`FaceModel`: plausibility, skin, features, generic expressions."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from ..errors import FileFormatError, TrackingError
+from ..face_model import FaceModel, embedded_face_model
+from ..frame import FEATURE_IDS
+from .association import associate
+
+MAX_VERTICES, MAX_TRIANGLES, MAX_BYTES = 200_000, 400_000, 2 << 30
+MIN_VERTICES = 200
+HEAD_WIDTH_MM = (90.0, 400.0)  # of the mean: outside, the unit of length is not what the format says
+PCA_GENERIC = 12  # leading principal components that become generic expressions, each with both signs
+PCA_SIGMAS = 2.0
+NEGLIGIBLE_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class ForeignModel:
+    """What a format holds.
+
+    mean (V, 3) mm; triangles (T, 3); identity_modes (M, V, 3), expressions (E, V, 3) float32 mm; names (E,); ``units``:
+    the expressions are activations in [0, 1] with ARKit names, else principal components per standard deviation; skin
+    (V,) bool, or None for the largest connected part.
+    """
+
+    path: Path
+    mean: np.ndarray
+    triangles: np.ndarray
+    identity_modes: np.ndarray
+    expressions: np.ndarray
+    names: tuple[str, ...]
+    units: bool
+    skin: np.ndarray | None = None
+
+
+def assemble(foreign: ForeignModel, feature_vertices=None) -> FaceModel:
+    """Check, cut, associate; raises :class:`FileFormatError` naming the file and the reason."""
+    _check(foreign)
+    chosen = None if feature_vertices is None else read_feature_vertices(feature_vertices, len(foreign.mean))
+    foreign, number = _skin_only(foreign)
+    if chosen is not None:
+        chosen = number[chosen]
+        if (chosen < 0).any():
+            raise FileFormatError(f"{foreign.path}: feature_vertices name vertices that are not on the skin")
+    try:
+        found = associate(foreign.mean, foreign.triangles, chosen)
+    except (TrackingError, np.linalg.LinAlgError, RuntimeError) as error:  # RuntimeError: a singular factorisation
+        raise FileFormatError(f"{foreign.path}: the mean mesh is not recognised as a face in mm ({error})") from error
+    weights, generic_names = _generic(foreign, found.frontal)
+    return FaceModel(
+        name=foreign.path.name, mean=foreign.mean + found.offset, triangles=foreign.triangles.astype(np.int32),
+        identity_modes=_without_empty(foreign.identity_modes), expressions=foreign.expressions,
+        expression_names=foreign.names, generic_weights=weights, generic_names=generic_names, frontal=found.frontal,
+        depth_valid=found.depth_valid, feature_triangles=found.feature_triangles, feature_weights=found.feature_weights,
+    )  # fmt: skip
+
+
+def check_size(path: Path, vertices: int, triangles: int) -> None:
+    """Raise :class:`FileFormatError` for meshes that no face model has, before memory is allocated for them."""
+    if not MIN_VERTICES <= vertices <= MAX_VERTICES:
+        raise FileFormatError(f"{path}: {vertices} vertices; a face model has {MIN_VERTICES} to {MAX_VERTICES}")
+    if not MIN_VERTICES <= triangles <= MAX_TRIANGLES:
+        raise FileFormatError(f"{path}: {triangles} triangles; a face model has {MIN_VERTICES} to {MAX_TRIANGLES}")
+
+
+def _check(foreign: ForeignModel) -> None:
+    path, n = foreign.path, len(foreign.mean)
+    check_size(path, n, len(foreign.triangles))
+    for name in ("mean", "identity_modes", "expressions"):
+        if not np.isfinite(getattr(foreign, name)).all():
+            raise FileFormatError(f"{path}: {name} holds NaN or infinite values")
+    if foreign.triangles.min() < 0 or foreign.triangles.max() >= n:
+        raise FileFormatError(f"{path}: triangles point outside 0..{n - 1}")
+    if len(foreign.identity_modes) == 0 or len(foreign.expressions) == 0:
+        raise FileFormatError(f"{path}: no identity modes or no expressions")
+    width = np.ptp(foreign.mean[:, 0])
+    if not HEAD_WIDTH_MM[0] < width < HEAD_WIDTH_MM[1]:
+        raise FileFormatError(f"{path}: the mean head is {width:.3g} mm wide, so its unit of length is not as expected")
+
+
+def _skin_only(foreign: ForeignModel) -> tuple[ForeignModel, np.ndarray]:
+    """The skin alone (no eyeballs, teeth, lashes), and the new number of each old vertex, -1 where cut away."""
+    n = len(foreign.mean)
+    skin = _largest_part(foreign.triangles, n) if foreign.skin is None else foreign.skin
+    triangles = foreign.triangles[skin[foreign.triangles].all(axis=1)]
+    if len(triangles) < MIN_VERTICES:
+        raise FileFormatError(f"{foreign.path}: its skin has {len(triangles)} triangles only")
+    used = np.unique(triangles)
+    number = np.full(n, -1)
+    number[used] = np.arange(len(used))
+    cut = replace(
+        foreign, mean=foreign.mean[used].astype(float), triangles=number[triangles], skin=None,
+        identity_modes=np.ascontiguousarray(foreign.identity_modes[:, used], np.float32),
+        expressions=np.ascontiguousarray(foreign.expressions[:, used], np.float32),
+    )  # fmt: skip
+    return cut, number
+
+
+def _largest_part(triangles: np.ndarray, n: int) -> np.ndarray:
+    rows, columns = triangles.ravel(), np.roll(triangles, 1, axis=1).ravel()
+    _, label = connected_components(sp.coo_matrix((np.ones(len(rows), bool), (rows, columns)), (n, n)), directed=False)
+    return label == np.bincount(label).argmax()
+
+
+def _without_empty(modes: np.ndarray) -> np.ndarray:
+    """Modes that move the skin: those of eyeballs and teeth only would leave the fit undetermined."""
+    return modes[np.abs(modes).max(axis=(1, 2), initial=0.0) > NEGLIGIBLE_MM]
+
+
+# -- features given by the user -------------------------------------------------------------------------------------
+
+
+def read_feature_vertices(given, n_vertices: int) -> np.ndarray:
+    """(40,) vertex numbers: from 40 in the order of ``FEATURE_IDS``, 68 in iBUG order, or a text file of either."""
+    name = "feature_vertices"
+    if isinstance(given, (str, os.PathLike)):
+        name = os.fspath(given)
+        try:
+            with open(given, encoding="utf-8") as file:
+                given = [int(word) for word in file.read(100_000).replace(",", " ").split()]
+        except (OSError, ValueError) as error:
+            raise FileFormatError(f"{name}: not a text file of vertex numbers ({error})") from error
+    numbers = np.asarray(given)
+    if numbers.shape not in ((40,), (68,)) or numbers.dtype.kind not in "iu":
+        raise FileFormatError(f"{name}: {numbers.shape} {numbers.dtype}; 40 or 68 vertex numbers are expected")
+    numbers = numbers if len(numbers) == 40 else numbers[FEATURE_IDS]
+    if numbers.min() < 0 or numbers.max() >= n_vertices:
+        raise FileFormatError(f"{name}: vertex numbers point outside 0..{n_vertices - 1}")
+    return numbers.astype(int)
+
+
+# -- generic expressions --------------------------------------------------------------------------------------------
+
+
+def _generic(foreign: ForeignModel, frontal: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Weights (A, E) and names of the generic expressions."""
+    if foreign.units:
+        return arkit_generic(foreign.names, foreign.path)
+    return component_generic(foreign.expressions, foreign.names, frontal)
+
+
+def arkit_generic(names: tuple[str, ...], path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The mixtures of our own model over ARKit-named units; mixtures whose units are missing are left out.
+
+    A unit without side (browInnerUp, cheekPuff) may be there as its Left and Right half.
+    """
+    own = embedded_face_model()
+    column = {name: k for k, name in enumerate(names)}
+    rows, kept = [], []
+    for generic, weights in zip(own.generic_names, own.generic_weights, strict=True):
+        row = np.zeros(len(names))
+        for k in np.flatnonzero(weights):
+            unit = own.expression_names[k]
+            parts = [unit] if unit in column else [p for p in (unit + "Left", unit + "Right") if p in column]
+            row[[column[p] for p in parts]] += weights[k]
+        if row.any():
+            rows.append(row)
+            kept.append(generic)
+    if not rows:
+        raise FileFormatError(f"{path}: none of the expressions has an ARKit name ({', '.join(names[:3])}, ...)")
+    return np.array(rows), tuple(kept)
+
+
+def component_generic(expressions, names, frontal: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Both signs of the components that move the face most, at 2 standard deviations, for coefficients in [0, 1].
+
+    An expression of another kind (FLAME's jawOpen) is taken as it is.
+    """
+    rows, kept = [], []
+    energy = (expressions[:, frontal].astype(float) ** 2).sum(axis=(1, 2))
+    unit = [k for k, name in enumerate(names) if name == "jawOpen"]
+    strongest = [k for k in np.argsort(-energy, kind="stable") if k not in unit and energy[k] > 0][:PCA_GENERIC]
+    for k, sign, label in [(k, 1.0, "") for k in unit] + [
+        (k, s * PCA_SIGMAS, label) for k in sorted(strongest) for s, label in ((1, "+"), (-1, "-"))
+    ]:
+        row = np.zeros(len(names))
+        row[k] = sign
+        rows.append(row)
+        kept.append(names[k] + label)
+    return np.array(rows), tuple(kept)

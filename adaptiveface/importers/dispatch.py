@@ -1,0 +1,54 @@
+"""One door for all formats: the content decides, not the file's name."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+
+from ..errors import FileFormatError, ParameterError
+from ..face_model import FaceModel, load_face_model
+from .basel import load_basel
+from .flame import load_flame, refuse_pickle
+from .gnm import load_gnm
+from .ict import NEUTRAL, load_ict_facekit
+
+_HDF5, _ZIP = b"\x89HDF", b"PK\x03\x04"
+_KNOWN = "an ICT-FaceKit folder, a Basel .h5, a FLAME, GNM or adaptiveface .npz"
+
+
+def import_face_model(path: str | os.PathLike, **options) -> FaceModel:
+    """Read any model this package knows; ``options`` go to its loader (``feature_vertices=``, ``identity_modes=``).
+
+    Raises :class:`FileFormatError` naming the file and the reason.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if not (path / NEUTRAL).is_file():
+            raise FileFormatError(f"{path}: a folder without {NEUTRAL}; expected {_KNOWN}")
+        return load_ict_facekit(path, **options)
+    refuse_pickle(path)
+    with open(path, "rb") as file:
+        magic = file.read(4)
+    if magic == _HDF5:
+        return load_basel(path, **options)
+    if magic != _ZIP:
+        raise FileFormatError(f"{path}: not a face model; expected {_KNOWN}")
+    names = _members(path)
+    if "v_template.npy" in names:
+        return load_flame(path, **options)
+    if "template_vertex_positions.npy" in names:
+        return load_gnm(path, **options)
+    if "identity_modes.npy" in names:
+        if options:
+            raise ParameterError(f"{path}: a model of this package takes no options ({', '.join(options)})")
+        return load_face_model(path)
+    raise FileFormatError(f"{path}: an npz with none of the arrays of a known model; expected {_KNOWN}")
+
+
+def _members(path: Path) -> set[str]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return set(archive.namelist())
+    except (zipfile.BadZipFile, OSError) as error:
+        raise FileFormatError(f"{path}: not a readable npz file ({error})") from error

@@ -1,0 +1,75 @@
+"""ICT-FaceKit (Li et al. 2020, "Learning Formation of Physically-Based Face Attributes"): a folder of OBJ files.
+
+``generic_neutral_mesh.obj``, ``identity000.obj``, ... and one OBJ per expression (``jawOpen.obj``, ``browDown_L.obj``),
+all on one topology, in centimetres; every target is the neutral with one mode at full strength.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from ..errors import FileFormatError
+from ..face_model import FaceModel
+from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
+from .obj import obj_triangles, obj_vertices, read_lines
+
+NEUTRAL = "generic_neutral_mesh.obj"
+MM_PER_UNIT = 10.0
+#: In the released topology (26,719 vertices) the first 11,248 are face, head and neck (the model's own table).
+RELEASED_VERTICES, RELEASED_SKIN = 26_719, 11_248
+
+
+def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_modes: int = 100) -> FaceModel:
+    """Read the folder ``FaceXModel`` of ICT-FaceKit.
+
+    ``feature_vertices``: 40 or 68 vertex numbers (or a text file of them), e.g. the Multi-PIE list of the model's own
+    documentation; by default the features are found by fitting our own model. ``_L`` and ``_R`` become Left and Right.
+    Raises :class:`FileFormatError` naming the file and what is wrong.
+    """
+    folder = Path(folder)
+    neutral = folder / NEUTRAL
+    lines = read_lines(neutral)
+    mean = obj_vertices(lines, neutral)
+    triangles = obj_triangles(lines, neutral, len(mean))
+    check_size(neutral, len(mean), len(triangles))
+    identities = _numbered(folder)[:identity_modes]
+    targets = sorted(p for p in folder.glob("*.obj") if p.name != NEUTRAL and not p.stem.startswith("identity"))
+    if not identities or not targets:
+        raise FileFormatError(f"{folder}: identity000.obj or the expression OBJ files are missing")
+    count = len(identities) + len(targets)
+    if count * mean.size * 4 > MAX_BYTES:
+        raise FileFormatError(f"{folder}: {count} shapes of {len(mean)} vertices need more than {MAX_BYTES >> 20} MiB")
+    shapes = np.stack([_offset(path, mean) for path in tqdm([*identities, *targets], desc="ICT-FaceKit", leave=False)])
+    skin = np.arange(len(mean)) < RELEASED_SKIN if len(mean) == RELEASED_VERTICES else None
+    foreign = ForeignModel(
+        folder, MM_PER_UNIT * mean, triangles, shapes[: len(identities)], shapes[len(identities) :],
+        tuple(arkit_name(path.stem) for path in targets), units=True, skin=skin,
+    )  # fmt: skip
+    return assemble(foreign, feature_vertices)
+
+
+def _numbered(folder: Path) -> list[Path]:
+    """identity000.obj, identity001.obj, ... up to the first gap."""
+    found = []
+    while (path := folder / f"identity{len(found):03d}.obj").is_file():
+        found.append(path)
+    return found
+
+
+def _offset(path: Path, mean: np.ndarray) -> np.ndarray:
+    points = obj_vertices(read_lines(path), path)
+    if points.shape != mean.shape:
+        raise FileFormatError(f"{path}: {len(points)} vertices; {NEUTRAL} has {len(mean)}")
+    return (MM_PER_UNIT * (points - mean)).astype(np.float32)
+
+
+def arkit_name(name: str) -> str:
+    """browDown_L -> browDownLeft."""
+    for suffix, side in (("_L", "Left"), ("_R", "Right")):
+        if name.endswith(suffix):
+            return name[: -len(suffix)] + side
+    return name
