@@ -20,9 +20,11 @@ CORNER = 0.9  # slices of the mouth beyond this part of its half width are left 
 
 @dataclass(frozen=True)
 class Anatomy:
-    """Of one head: ``lip`` (V,) bool both lips from outer contour to opening; ``inner_lip`` (V,) bool the part behind
-    the
-    inner contour; ``lip_distance``, ``left_lid_distance``, ``lid_distance`` (V,) mm along the surface."""
+    """Of one head.
+
+    lip (V,) bool: both lips from outer contour to opening; inner_lip (V,) bool: the part behind the inner contour;
+    lip_distance, left_lid_distance, lid_distance (V,) mm along the surface.
+    """
 
     mesh: TrackingMesh
     smoother: FieldSmoother

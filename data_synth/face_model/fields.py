@@ -30,9 +30,7 @@ class FieldSmoother:
         return spsolve((data + length**4 * self.energy).tocsc(), data @ field)
 
     def extend(self, values: np.ndarray, at: np.ndarray, region: np.ndarray) -> np.ndarray:
-        """The smoothest field that equals ``values`` (k, d) at vertices ``at`` (k,) and zero outside ``region`` (V,)
-        bool.
-        """
+        """The smoothest field with ``values`` (k, d) at vertices ``at`` (k,), zero outside ``region`` (V,) bool."""
         field = np.zeros((len(region), values.shape[1]))
         field[at] = values
         free = region.copy()

@@ -60,9 +60,7 @@ class Slider:
 
 
 def sample_heads(base: MakeHuman, keep: np.ndarray, skin: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """(count, k, 3) float32 mm: base vertices ``keep`` (k,) of sampled heads; ``skin`` (k,) bool limits the caps to
-    skin.
-    """
+    """(count, k, 3) float32 mm: base vertices ``keep`` (k,) of sampled heads; the caps hold on ``skin`` (k,) bool."""
     rng = np.random.default_rng(seed)
     sliders = list(_sliders(base, keep, skin))
     macro = _MacroTargets(base, keep)

@@ -16,9 +16,7 @@ BACK_WEIGHT, NECK_WEIGHT, EYE_WEIGHT = 0.10, 0.25, 0.05  # relative to the front
 
 @dataclass(frozen=True)
 class IdentitySpace:
-    """``mean`` (P, 3) mm; ``modes`` (M, P, 3) mm per standard deviation; ``variance`` (S,) share of each mode,
-    sorted.
-    """
+    """mean (P, 3) mm; modes (M, P, 3) mm per standard deviation; variance (S,): each mode's share, sorted."""
 
     mean: np.ndarray
     modes: np.ndarray

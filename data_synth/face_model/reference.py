@@ -1,6 +1,4 @@
-"""The fine surface and the curves that a remeshed vertex is projected to, as barycentric combinations of fine
-vertices.
-"""
+"""The fine surface and the curves that a remeshed vertex is projected to, as combinations of its vertices."""
 
 from __future__ import annotations
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 from tqdm import tqdm
@@ -217,9 +216,7 @@ class Remesher:
         return used, np.array([self.points[a] for a in used]), triangles
 
     def _relax(self) -> None:
-        """Move free vertices to the size-weighted centroid of their triangles, within the surface; slide curve
-        vertices.
-        """
+        """Move free vertices to the size-weighted centroid of their triangles, in the surface; slide curve vertices."""
         used, points, triangles = self._compact()
         normals = vertex_normals(points, triangles)
         centres = points[triangles].mean(axis=1)
@@ -255,8 +252,3 @@ def _edge(a: int, b: int) -> tuple[int, int]:
 
 def _normal(p, q, r) -> np.ndarray:
     return np.cross(q - p, r - p)
-
-
-def chain_edges(chain: list[int]) -> list[tuple[int, int]]:
-    """Edges (a, b), a < b, of an open chain of vertices."""
-    return [_edge(a, b) for a, b in pairwise(chain)]

@@ -1,6 +1,4 @@
-"""Contact sheets of the model, to be looked at: identities, modes, units, generic expressions, close-ups, features,
-masks.
-"""
+"""Contact sheets to look at: identities, modes, units, generic expressions, close-ups, features, masks."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Catmull-Clark subdivision as a sparse linear operator (Catmull & Clark 1978; boundaries by the cubic B-spline
-rule).
-"""
+"""Catmull-Clark subdivision (1978) as a sparse linear operator; boundaries by the cubic B-spline rule."""
 
 from __future__ import annotations
 

@@ -14,6 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
+from adaptiveface.mesh import vertex_normals
+
 from .makehuman import MakeHuman
 from .reference import Polyline, ReferenceSurface
 from .remesher import Remesher
@@ -56,9 +58,7 @@ def build_tracking_mesh(base: MakeHuman, rest: np.ndarray) -> TrackingMesh:
 
 
 def frontness(points: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """(n,) negative inside the frontal region, mm or so outside: a cylinder sector of 68 degrees each way, hairline
-    to chin.
-    """
+    """(n,) negative inside the frontal region, about mm outside: 68 degrees to each side, hairline to chin."""
     axis = rest[NOSE_TIP, 2] - 105
     yaw = np.degrees(np.arctan2(np.abs(points[:, 0]), points[:, 2] - axis))
     above, below = points[:, 1] - rest[FOREHEAD_TOP, 1] - 18, rest[CHIN, 1] - 6 - points[:, 1]
@@ -159,8 +159,6 @@ class _HalfHead:
 
     def operator(self, points: np.ndarray, triangles: np.ndarray, curve_of: dict) -> tuple[sp.csr_matrix, np.ndarray]:
         """(V, N) base vertices -> remeshed half, and (V,) bool: on the midline (there x stays exactly 0)."""
-        from adaptiveface.mesh import vertex_normals
-
         names = list(self.polylines)
         curves = defaultdict(set)
         for edge, curve in sorted(curve_of.items()):
