@@ -1,0 +1,130 @@
+"""What every exporter writes: a mesh with named morph targets, their weights and the head's motion over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..actor import Actor
+from ..errors import FileFormatError
+from ..mesh import transform_points
+from ..retargeting.character import Character
+from ..retargeting.retarget import Performance, frame_rate, increasing
+from .result import Result
+
+#: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
+CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class AnimatedMesh:
+    """F frames of a mesh with V vertices and E morph targets.
+
+    neutral (V, 3) mm, head frame; triangles (T, 3); target_names (E,); targets (E, V, 3) mm, displacements at weight 1;
+    weights (F, E); timestamps (F,) s, strictly increasing from 0; rigid (F, 4, 4) head to view frame, mm: x right, y
+    up, z towards the viewer; colours (V, 3) uint8 sRGB or None.
+    """
+
+    name: str
+    neutral: np.ndarray
+    triangles: np.ndarray
+    target_names: tuple[str, ...]
+    targets: np.ndarray
+    weights: np.ndarray
+    timestamps: np.ndarray
+    rigid: np.ndarray
+    colours: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+        return frame_rate(self.timestamps)
+
+    def shape(self, frame: int, posed: bool = False) -> np.ndarray:
+        """(V, 3) mm in the head frame, or with the head's motion in the view frame."""
+        flat = self.targets.reshape(len(self.targets), -1)
+        vertices = self.neutral + (self.weights[frame] @ flat).reshape(-1, 3)
+        return transform_points(self.rigid[frame], vertices) if posed else vertices
+
+
+def view_motion(rigid: np.ndarray) -> np.ndarray:
+    """(F, 4, 4) head to view frame of poses (F, 4, 4) head to camera."""
+    out = np.array(rigid, float)
+    out[:, :3] = CAMERA_TO_VIEW @ out[:, :3]
+    return out
+
+
+def character_animation(character: Character, performance: Performance) -> AnimatedMesh:
+    """A character that performs; shapes that nothing drives stay in the file with weight 0."""
+    return AnimatedMesh(
+        character.name, character.neutral, character.triangles, character.expression_names, character.expressions,
+        character.weights(performance.curves), increasing(performance.timestamps), view_motion(performance.rigid),
+        character.colours,
+    )  # fmt: skip
+
+
+def actor_animation(result: Result, actor: Actor | None = None, tolerance: float = 0.09) -> AnimatedMesh:
+    """The actor's own mesh, so that every frame's v4 is reproduced within ``tolerance`` mm at every vertex.
+
+    With the actor's rig the targets are its blendshapes (weights: the re-solved coefficients), the learned correctives,
+    and what these cannot hold: principal components of the residual, as many as the tolerance asks for (v4 contains the
+    final deformation, which follows the 2D features and lies in no basis). Without the rig: the mean of all frames and
+    principal components alone. Raises :class:`FileFormatError` when actor and result do not belong together.
+    """
+    inverse = np.linalg.inv(result.rigid.astype(float))
+    shapes = np.stack([transform_points(m, v.astype(float)) for m, v in zip(inverse, result.vertices, strict=True)])
+    names, targets, weights = [], np.zeros((0, shapes.shape[1], 3)), np.zeros((len(shapes), 0))
+    neutral = shapes.mean(axis=0)
+    if actor is not None:
+        names, neutral, targets, weights = _rig(result, actor)
+    residual = shapes - neutral - np.tensordot(weights, targets, axes=1)
+    if actor is not None and result.correctives is not None and len(result.correctives):
+        shape, amount = _projected(residual, result.correctives.astype(float))
+        names += [f"corrective{k:02d}" for k in range(len(shape))]
+        targets, weights = np.concatenate([targets, shape]), np.column_stack([weights, amount])
+        residual = residual - np.tensordot(amount, shape, axes=1)
+    shape, amount = _principal_targets(residual, tolerance)
+    names += [f"residual{k:03d}" for k in range(len(shape))]
+    targets, weights = np.concatenate([targets, shape]), np.column_stack([weights, amount])
+    return AnimatedMesh("actor", neutral, result.triangles, tuple(names), targets, weights,
+                        increasing(result.timestamps), view_motion(result.rigid))  # fmt: skip
+
+
+def _rig(result: Result, actor: Actor):
+    if not np.array_equal(actor.triangles, result.triangles):
+        raise FileFormatError("actor.npz and result.npz have different meshes: they do not belong together")
+    rows = [actor.expression_names.index(n) for n in result.expression_names if n in actor.expression_names]
+    if len(rows) != len(result.expression_names):
+        raise FileFormatError("result.npz has expressions that actor.npz lacks: they do not belong together")
+    return list(result.expression_names), actor.neutral, actor.blendshapes[rows], result.coefficients.astype(float)
+
+
+def _projected(residual: np.ndarray, correctives: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal correctives (K, N, 3) scaled to a largest weight of 1 -> targets (K, N, 3), weights (F, K)."""
+    amount = np.tensordot(residual, correctives, axes=([1, 2], [1, 2]))
+    scale = np.maximum(np.abs(amount).max(axis=0), 1e-9)
+    return correctives * scale[:, None, None], amount / scale
+
+
+def _principal_targets(residual: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Fewest principal components that leave no vertex of residual (F, N, 3) farther off than ``tolerance`` mm."""
+    count, size = residual.shape[:2]
+    flat = residual.reshape(count, -1)
+    values, vectors = np.linalg.eigh(flat @ flat.T)
+    vectors = vectors[:, ::-1][:, : int((values > 1e-12 * max(values[-1], 1e-30)).sum())]
+
+    def error(k: int) -> float:
+        rest = flat - vectors[:, :k] @ (vectors[:, :k].T @ flat)
+        return float(np.linalg.norm(rest.reshape(count, size, 3), axis=2).max(initial=0.0))
+
+    low, high = 0, vectors.shape[1]
+    while low < high:  # the error falls with k up to small ripples, which the tolerance's margin covers
+        middle = (low + high) // 2
+        low, high = (low, middle) if error(middle) <= tolerance else (middle + 1, high)
+    shape = (vectors[:, :low].T @ flat).reshape(low, size, 3)
+    scale = np.maximum(np.abs(vectors[:, :low]).max(axis=0, initial=1e-12), 1e-12)
+    return shape * scale[:, None, None], vectors[:, :low] / scale

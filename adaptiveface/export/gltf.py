@@ -1,0 +1,205 @@
+"""glTF 2.0 binary files (.glb): mesh, morph targets, weights animation, head motion as node animation.
+
+A writer of its own, because the libraries at hand hold the JSON but leave the work: trimesh writes no morph targets or
+animations, pygltflib wraps the JSON objects. Morph targets are sparse accessors (most of a head is still), with
+normals, so that a morphed face shades as it should. Lengths in metres, y up, z towards the viewer (glTF 2.0, 3.4).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..errors import FileFormatError
+from ..mesh import vertex_normals
+from ..retargeting.gltf_file import GltfFile
+from .animation import AnimatedMesh
+
+METRES = 1e-3
+_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
+_ARRAY, _ELEMENTS = 34962, 34963
+_COMPONENT = {np.dtype(np.float32): _FLOAT, np.dtype(np.uint16): _USHORT, np.dtype(np.uint32): _UINT}
+#: A vertex whose target moves it less than this is left out of the sparse accessor, m (float32 rounds more).
+_STILL = 1e-8
+
+
+class _Builder:
+    """Collects accessors and their bytes."""
+
+    def __init__(self) -> None:
+        self.views: list[dict] = []
+        self.accessors: list[dict] = []
+        self.binary = bytearray()
+
+    def view(self, array: np.ndarray, target: int | None = None) -> int:
+        self.binary += b"\0" * (-len(self.binary) % 4)
+        view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": array.nbytes}
+        if target:
+            view["target"] = target
+        self.binary += np.ascontiguousarray(array).tobytes()
+        self.views.append(view)
+        return len(self.views) - 1
+
+    def accessor(self, array: np.ndarray, target: int | None = None, bounds: bool = False, **more) -> int:
+        kind = "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
+        entry = {"bufferView": self.view(array, target), "componentType": _COMPONENT[array.dtype], "count": len(array)}
+        self._add(entry | {"type": kind} | more, array if bounds else None)
+        return len(self.accessors) - 1
+
+    def sparse(self, array: np.ndarray, bounds: bool = False) -> int:
+        """(V, 3) float32, mostly zero."""
+        moving = np.flatnonzero(np.abs(array).max(axis=1) > _STILL)
+        if len(moving) > 0.8 * len(array):
+            return self.accessor(array, _ARRAY, bounds)
+        entry = {"componentType": _FLOAT, "count": len(array), "type": "VEC3"}
+        kept = np.zeros_like(array)
+        if len(moving):
+            kept[moving] = array[moving]
+            index = moving.astype(np.uint16 if len(array) <= 65535 else np.uint32)
+            entry["sparse"] = {
+                "count": len(moving),
+                "indices": {"bufferView": self.view(index), "componentType": _COMPONENT[index.dtype]},
+                "values": {"bufferView": self.view(array[moving])},
+            }
+        else:  # some readers take an accessor without any data for a mistake
+            entry["bufferView"] = self.view(kept, _ARRAY)
+        self._add(entry, kept if bounds else None)
+        return len(self.accessors) - 1
+
+    def _add(self, entry: dict, bounded: np.ndarray | None) -> None:
+        if bounded is not None:
+            low, high = np.atleast_1d(bounded.min(axis=0)), np.atleast_1d(bounded.max(axis=0))
+            entry |= {"min": [float(v) for v in low], "max": [float(v) for v in high]}
+        self.accessors.append(entry)
+
+
+def write_glb(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
+    """Write an animated mesh as ``.glb``, whole or not at all.
+
+    Node "performance" carries node "head", which is animated by the head's pose; "performance" is placed so that the
+    median position of the head is the origin. Target names are in ``mesh.extras.targetNames``.
+    """
+    builder = _Builder()
+    document = {
+        "asset": {"version": "2.0", "generator": f"adaptiveface {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {"name": "performance", "children": [1], "translation": _metres(-np.median(mesh.rigid[:, :3, 3], axis=0))},
+            {"name": "head", "mesh": 0},
+        ],
+        "meshes": [_mesh(builder, mesh)],
+        "materials": [{"name": "skin", "doubleSided": True,
+                       "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.6}}],
+        "animations": [_animation(builder, mesh)],
+    }  # fmt: skip
+    if mesh.colours is None:
+        document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [0.6, 0.39, 0.3, 1.0]
+    document |= {"accessors": builder.accessors, "bufferViews": builder.views,
+                 "buffers": [{"byteLength": len(builder.binary)}]}  # fmt: skip
+    _write(path, document, builder.binary)
+
+
+def _metres(vector: np.ndarray) -> list[float]:
+    return [float(v) for v in METRES * np.asarray(vector, float)]
+
+
+def _mesh(builder: _Builder, mesh: AnimatedMesh) -> dict:
+    triangles = mesh.triangles.astype(np.uint16 if len(mesh.neutral) <= 65535 else np.uint32)
+    normals = _unit_normals(mesh.neutral, mesh.triangles)
+    attributes = {
+        "POSITION": builder.accessor((METRES * mesh.neutral).astype(np.float32), _ARRAY, bounds=True),
+        "NORMAL": builder.accessor(normals, _ARRAY),
+    }
+    if mesh.colours is not None:
+        linear = np.where(mesh.colours <= 10, mesh.colours / 3294.6, ((mesh.colours / 255 + 0.055) / 1.055) ** 2.4)
+        colours = np.rint(65535 * np.column_stack([linear, np.ones(len(linear))])).astype(np.uint16)
+        attributes["COLOR_0"] = builder.accessor(colours, _ARRAY, normalized=True)
+    targets = []
+    for target in mesh.targets:
+        turned = _unit_normals(mesh.neutral + target, mesh.triangles) - normals
+        turned[np.abs(turned).max(axis=1) < 1e-4] = 0.0
+        targets.append({"POSITION": builder.sparse((METRES * target).astype(np.float32), bounds=True),
+                        "NORMAL": builder.sparse(turned)})  # fmt: skip
+    primitive = {"attributes": attributes, "indices": builder.accessor(triangles.ravel(), _ELEMENTS), "material": 0}
+    entry = {"name": mesh.name, "primitives": [primitive]}
+    if targets:
+        primitive["targets"] = targets
+        entry |= {"weights": [0.0] * len(targets), "extras": {"targetNames": list(mesh.target_names)}}
+    return entry
+
+
+def _unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    normals = vertex_normals(vertices, triangles).astype(np.float32)
+    length = np.linalg.norm(normals, axis=1)
+    normals[length < 0.5] = (0.0, 0.0, 1.0)
+    return normals
+
+
+def _animation(builder: _Builder, mesh: AnimatedMesh) -> dict:
+    times = builder.accessor(mesh.timestamps.astype(np.float32), bounds=True)
+    position = (METRES * mesh.rigid[:, :3, 3]).astype(np.float32)
+    curves = {"translation": position, "rotation": quaternions(mesh.rigid[:, :3, :3]).astype(np.float32)}
+    if mesh.targets.size:
+        curves["weights"] = np.ascontiguousarray(mesh.weights, np.float32).ravel()
+    samplers = [{"input": times, "output": builder.accessor(values), "interpolation": "LINEAR"}
+                for values in curves.values()]  # fmt: skip
+    channels = [{"sampler": k, "target": {"node": 1, "path": path}} for k, path in enumerate(curves)]
+    return {"name": "performance", "samplers": samplers, "channels": channels}
+
+
+def quaternions(rotations: np.ndarray) -> np.ndarray:
+    """(F, 4) unit quaternions x, y, z, w of rotations (F, 3, 3), neighbours in one hemisphere."""
+    from scipy.spatial.transform import Rotation
+
+    out = Rotation.from_matrix(rotations).as_quat()
+    flips = np.cumprod(np.where((out[1:] * out[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+    out[1:] *= flips[:, None]
+    return out
+
+
+def _write(path: str | os.PathLike, document: dict, binary: bytearray) -> None:
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    total = 12 + 8 + len(text) + 8 + len(binary)
+    if total >= 1 << 32:
+        raise FileFormatError(f"{path}: {total >> 20} MiB do not fit into a .glb file; export fewer frames")
+    temporary = f"{os.fspath(path)}.part"
+    with open(temporary, "wb") as stream:
+        stream.write(struct.pack("<4sII", b"glTF", 2, total))
+        stream.write(struct.pack("<I4s", len(text), b"JSON") + text)
+        stream.write(struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+    os.replace(temporary, path)
+
+
+def read_glb_animation(path: str | os.PathLike) -> AnimatedMesh:
+    """Read back a file of :func:`write_glb`; raises :class:`FileFormatError`."""
+    from scipy.spatial.transform import Rotation
+
+    file = GltfFile(Path(path))
+    with file.errors():
+        node = next(n for n, entry in enumerate(file.items("nodes")) if entry.get("name") == "head")
+        mesh = file.items("meshes")[file.items("nodes")[node]["mesh"]]
+        primitive = mesh["primitives"][0]
+        curves = {}
+        for channel in file.items("animations")[0]["channels"]:
+            sampler = file.items("animations")[0]["samplers"][channel["sampler"]]
+            times = file.accessor(sampler["input"]).astype(float)[:, 0]
+            curves[channel["target"]["path"]] = file.accessor(sampler["output"]).astype(float)
+        neutral = file.accessor(primitive["attributes"]["POSITION"]).astype(float)
+        targets = [file.accessor(t["POSITION"], len(neutral)).astype(float) for t in primitive.get("targets", ())]
+        rigid = np.tile(np.eye(4), (len(times), 1, 1))
+        rigid[:, :3, :3] = Rotation.from_quat(curves["rotation"]).as_matrix()
+        rigid[:, :3, 3] = curves["translation"] / METRES
+        weights = curves.get("weights", np.zeros((0, 1))).reshape(len(times), len(targets))
+        names = tuple(mesh.get("extras", {}).get("targetNames", ()))
+        return AnimatedMesh(
+            mesh["name"], neutral / METRES, file.triangles(primitive, len(neutral)), names,
+            np.array(targets).reshape(len(targets), -1, 3) / METRES, weights, times, rigid,
+        )  # fmt: skip
