@@ -40,15 +40,12 @@ def load_gnm(path: str | os.PathLike, feature_vertices=None, identity_modes: int
     template = data["template_vertex_positions"]
     check_size(path, len(template), len(data["triangles"]))
     check_indices(path, "triangles", data["triangles"], len(template))
-    skin = _skin(data)
     expressions = data["expression_basis"]
     names = data.get("expression_names", [f"pca{k:03d}" for k in range(len(expressions))])
-    moving = np.flatnonzero(_strength(expressions, skin) > 0)
     foreign = ForeignModel(
         path, MM_PER_UNIT * template.astype(float), data["triangles"].astype(int),
         (MM_PER_UNIT * data["vertex_identity_basis"][:identity_modes]).astype(np.float32),
-        (MM_PER_UNIT * expressions[moving]).astype(np.float32), tuple(str(names[k]) for k in moving), units=False,
-        skin=skin,
+        (MM_PER_UNIT * expressions).astype(np.float32), tuple(map(str, names)), units=False, skin=_skin(data),
     )  # fmt: skip
     return assemble(foreign, feature_vertices)
 
@@ -61,9 +58,3 @@ def _skin(data: dict) -> np.ndarray | None:
         if group in names:
             return data["vertex_groups"][names.index(group)] > 0.5
     return None
-
-
-def _strength(expressions: np.ndarray, skin: np.ndarray | None) -> np.ndarray:
-    """(E,) largest displacement on the skin: components of teeth, tongue and pupils have none."""
-    seen = expressions if skin is None else expressions[:, skin]
-    return np.abs(seen).max(axis=(1, 2), initial=0.0)
