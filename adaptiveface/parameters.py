@@ -218,6 +218,8 @@ class ShrinkWrapParameters(_Stage):
                                   low=0, high=100, log=True)
     feature_weight: float = parameter(2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0,
                                       high=1000)
+    feature_shift: float = parameter(4.0, "a feature may move this far on the surface to where the person's neutral shows it",
+                                     unit="mm", section="3", low=0, high=20)
     contact_weight: float = parameter(4.0, "lips that touch in the model stay together: weight of a pair", section="3", low=0,
                                       high=1000)
     detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)

@@ -11,13 +11,12 @@ from adaptiveface.errors import TrackingError
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.frame import Features2D, RgbdFrame
 from adaptiveface.mesh import rotation_vector_matrix, surface_points, transform_points, vertex_normals
-from adaptiveface.neutral.features import feature_constraints
+from adaptiveface.neutral.deformation_graph import carry_matrix, deformation_graph
+from adaptiveface.neutral.features import calibrated_features, constraints_on, feature_constraints
 from adaptiveface.neutral.fit import ScanSearch, fit_identity
 from adaptiveface.neutral.fuse import FusedScan, fuse_frames, head_box, in_head_frame, most_frontal
 from adaptiveface.neutral.registration import align, depth_view, feature_pose
 from adaptiveface.neutral.shrink_wrap import (
-    carry_matrix,
-    deformation_graph,
     shrink_wrap,
     touching_pairs,
 )
@@ -246,6 +245,26 @@ def test_a_wild_feature_is_dropped(actor):
     constraints = feature_constraints(scan_of(actor.neutral, frames, poses), features_on(actor.neutral),
                                       np.tile([0.0, 0, 1], (40, 1)))
     assert constraints.rms(features_on(actor.neutral))[5] < 1.0
+
+
+def test_calibration_moves_features_to_where_the_detector_sees_them(actor):
+    """A detector with its own idea of every feature: calibrated, the features lie on its rays, on the surface."""
+    frames, yaw = turning_frames(actor, 7)
+    shift = np.random.default_rng(8).normal(size=(40, 2))
+    poses = [head_pose((0, y, 0), (8 * y, 0, 600)) for y in yaw]
+    frames = [replace(f, features=Features2D(f.features.pixels + 2 * shift, np.ones(40))) for f in frames]
+    constraints = constraints_on(scan_of(actor.neutral, frames, poses), MODEL, actor.neutral)
+    home = features_on(actor.neutral)
+    triangles, weights = calibrated_features(constraints, MODEL, actor.neutral, 6.0)
+    moved = surface_points(actor.neutral, triangles, weights)
+    assert np.median(constraints.rms(home)[constraints.seen]) > 2.0
+    assert np.median(constraints.rms(moved)[constraints.seen]) < 0.7
+    assert np.linalg.norm(moved - home, axis=1).max() <= 6.0
+    assert np.allclose(weights.sum(axis=1), 1) and (weights >= 0).all()
+    known = {tuple(sorted(t)) for t in MODEL.triangles.tolist()}
+    assert all(tuple(sorted(t)) in known for t in triangles[constraints.seen].tolist())
+    same = calibrated_features(constraints, MODEL, actor.neutral, 0.0)
+    assert (same[0] == MODEL.feature_triangles).all() and (same[1] == MODEL.feature_weights).all()
 
 
 # --- fit -----------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..errors import TrackingError
 from ..face_model import FaceModel, embedded_face_model
 from ..frame import RgbdFrame
 from ..parameters import Parameters
+from .features import FeatureConstraints, calibrated_features, constraints_on
 from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
 from .shrink_wrap import ShrinkWrap, shrink_wrap
@@ -22,11 +23,12 @@ DEFAULTS = Parameters()
 
 @dataclass(frozen=True)
 class NeutralCapture:
-    """Every step's result: scan (in the head frame), fit, wrap (in the head frame), actor."""
+    """Every step's result: scan, fit, wrap and the 2D features' constraints, all in the actor's head frame; actor."""
 
     scan: FusedScan
     fit: IdentityFit
     wrap: ShrinkWrap
+    features: FeatureConstraints
     actor: Actor
 
 
@@ -63,8 +65,11 @@ def capture_neutral(
     wrap = shrink_wrap(scan, model, fit.vertices, parameters.shrink_wrap)
     report("blendshapes", 0.0)
     actor = build_actor(model, wrap.vertices, scan, fit.identity)
+    constraints = constraints_on(scan, model, wrap.vertices)
+    places = calibrated_features(constraints, model, wrap.vertices, parameters.shrink_wrap.feature_shift)
+    actor = replace(actor, feature_triangles=places[0], feature_weights=places[1])
     report("blendshapes", 1.0)
-    return NeutralCapture(scan, fit, wrap, actor)
+    return NeutralCapture(scan, fit, wrap, constraints, actor)
 
 
 def build_actor(model: FaceModel, neutral: np.ndarray, scan: FusedScan | None = None, identity=None) -> Actor:

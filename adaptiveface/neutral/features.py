@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..face_model import FaceModel
+from ..mesh import surface_points, vertex_normals
 from .fuse import FusedScan
 
 
@@ -40,10 +42,13 @@ class FeatureConstraints:
 def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray) -> FeatureConstraints:
     """Gather the rays of the scan's frames, given the features' present position and normal (40, 3) in the scan frame.
 
-    A view weighs by the cosine at which it sees the feature's skin: detectors guess what is turned away. Rays farther
-    than three robust standard deviations from their median are dropped.
+    A view weighs by how far the feature's skin is turned to it: detectors guess what is turned away. Half the skin's
+    normal, half the face's own direction, +z: inner lips have normals that no camera faces. Rays farther than three
+    robust standard deviations from their median are dropped.
     """
-    rows = [_rays(scan, k, points, normals) for k in range(len(scan.frames)) if scan.features[k] is not None]
+    facing = normals + [0.0, 0.0, 1.0]
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+    rows = [_rays(scan, k, points, facing) for k in range(len(scan.frames)) if scan.features[k] is not None]
     if not rows:
         zero = np.zeros(len(points))
         return FeatureConstraints(np.zeros((len(points), 3, 3)), np.zeros_like(points), zero, zero)
@@ -58,7 +63,7 @@ def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray
     return FeatureConstraints(A, b, c, total)
 
 
-def _rays(scan: FusedScan, k: int, points: np.ndarray, normals: np.ndarray):
+def _rays(scan: FusedScan, k: int, points: np.ndarray, facing: np.ndarray):
     """Of frame k: ray origins (40, 3), unit directions (40, 3) in the scan frame, weights (40,)."""
     rotation, translation = scan.poses[k][:3, :3], scan.poses[k][:3, 3]
     features = scan.features[k]
@@ -66,7 +71,7 @@ def _rays(scan: FusedScan, k: int, points: np.ndarray, normals: np.ndarray):
     direction = scan.cameras[k].back_project(pixels, np.ones(len(pixels))) @ rotation
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     centre = np.broadcast_to(-translation @ rotation, points.shape)
-    cosine = -(direction * normals).sum(axis=1)
+    cosine = -(direction * facing).sum(axis=1)
     weight = np.where(features.valid, features.confidence, 0.0) * np.clip(cosine - 0.2, 0.0, None)
     return centre, direction, weight
 
@@ -83,3 +88,61 @@ def _without_outliers(points, centre, across, weight) -> np.ndarray:
         spread = np.full(len(points), np.inf)
         spread[seen] = np.maximum(3 * 1.4826 * np.nanmedian(distance[:, seen], axis=0), 1.0)
     return np.where(distance <= spread, weight, 0.0)
+
+
+def constraints_on(scan: FusedScan, model: FaceModel, vertices: np.ndarray) -> FeatureConstraints:
+    """:func:`feature_constraints` of a head of the model at ``vertices`` (V, 3) in the scan frame."""
+    normals = vertex_normals(vertices, model.triangles)
+    places = model.feature_triangles, model.feature_weights
+    return feature_constraints(scan, surface_points(vertices, *places), surface_points(normals, *places))
+
+
+def calibrated_features(
+    constraints: FeatureConstraints, model: FaceModel, vertices: np.ndarray, limit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move each feature on the surface to where this person's detections see it, at most ``limit`` mm away.
+
+    A detector's idea of a feature differs a little from the model's, and from face to face, always alike: taken out in
+    the neutral, it does not pull at the expressions. vertices (V, 3) in the frame of the constraints. Returns feature
+    triangles (40, 3) and weights (40, 3); features never seen stay.
+    """
+    triangles, feature_triangles = model.triangles, model.feature_triangles
+    triangles_out, weights_out = feature_triangles.copy(), np.array(model.feature_weights, float)
+    if limit == 0:
+        return triangles_out, weights_out
+    home = surface_points(vertices, feature_triangles, model.feature_weights)
+    samples = _barycentric_grid(8)
+    for f in np.flatnonzero(constraints.seen):
+        near = _patch(triangles, vertices, feature_triangles[f], home[f], limit)
+        points = np.einsum("sk,tkd->tsd", samples, vertices[near])
+        away = ((points - home[f]) ** 2).sum(axis=2)
+        energy = np.einsum("tsi,ij,tsj->ts", points, constraints.A[f], points) - 2 * points @ constraints.b[f]
+        # A slight pull home decides along the viewing ray, which the detections leave open.
+        energy = np.where(away <= limit**2, energy + 0.01 * away, np.inf)
+        t, s = np.unravel_index(np.argmin(energy), energy.shape)
+        if np.isfinite(energy[t, s]):
+            triangles_out[f], weights_out[f] = near[t], samples[s]
+    return triangles_out, weights_out
+
+
+def _patch(triangles, vertices, start, home, limit) -> np.ndarray:
+    """Triangles (t, 3) connected to the ``start`` triangle within ``limit`` mm: never the other lip."""
+    close = ((vertices - home) ** 2).sum(axis=1) <= limit**2
+    reached = np.zeros(len(vertices), bool)
+    reached[start] = True
+    local = triangles[close[triangles].any(axis=1)]
+    while True:
+        touched = reached[local].any(axis=1)
+        grown = np.zeros_like(reached)
+        grown[local[touched]] = True
+        grown = (grown & close) | reached
+        if (grown == reached).all():
+            return local[touched] if touched.any() else start[None]
+        reached = grown
+
+
+def _barycentric_grid(steps: int) -> np.ndarray:
+    """(n, 3) evenly spread barycentric weights of a triangle, corners included."""
+    i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
+    inside = i + j <= steps
+    return np.stack([i[inside], j[inside], steps - i[inside] - j[inside]], axis=1) / steps

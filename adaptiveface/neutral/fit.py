@@ -15,7 +15,7 @@ from ..errors import TrackingError
 from ..face_model import FaceModel
 from ..mesh import rotation_vector_matrix, surface_points, transform_points, vertex_areas, vertex_normals
 from ..parameters import FitParameters
-from .features import FeatureConstraints, feature_constraints
+from .features import FeatureConstraints, constraints_on
 from .fuse import FusedScan
 
 DEFAULTS = FitParameters()
@@ -92,7 +92,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
                 f"the face model meets the neutral scan in {len(found.vertices)} points only: the scan does not show a "
                 "face where the 2D features see one"
             )
-        constraints = _constraints(scan, model, vertices, normals)
+        constraints = constraints_on(scan, model, vertices)
         history.append(float(np.median(np.abs(found.distances))))
         step, change = _step(model, identity, pose, used, found, constraints, area, parameters)
         pose, identity = step @ pose, identity + change
@@ -101,7 +101,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
     matched = np.zeros(len(vertices), bool)
     matched[found.vertices] = True
-    constraints = _constraints(scan, model, vertices, normals)
+    constraints = constraints_on(scan, model, vertices)
     rms = constraints.rms(surface_points(vertices, model.feature_triangles, model.feature_weights))
     return IdentityFit(
         identity, pose, model.neutral(identity), float(np.median(np.abs(found.distances))), matched,
@@ -117,12 +117,6 @@ def _modes_now(iteration: int, modes: int) -> int:
 def _posed(model: FaceModel, identity: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vertices = transform_points(pose, model.neutral(identity))
     return vertices, vertex_normals(vertices, model.triangles)
-
-
-def _constraints(scan: FusedScan, model: FaceModel, vertices, normals) -> FeatureConstraints:
-    points = surface_points(vertices, model.feature_triangles, model.feature_weights)
-    planes = surface_points(normals, model.feature_triangles, model.feature_weights)
-    return feature_constraints(scan, points, planes)
 
 
 def _step(model, identity, pose, used, found, constraints, area, parameters) -> tuple[np.ndarray, np.ndarray]:

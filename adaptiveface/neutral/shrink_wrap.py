@@ -11,19 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from ..face_model import FaceModel
-from ..mesh import adjacency, cotangent_laplacian, edges, surface_points, vertex_areas, vertex_normals
+from ..mesh import adjacency, cotangent_laplacian, vertex_areas, vertex_normals
 from ..parameters import ShrinkWrapParameters
-from .features import FeatureConstraints, feature_constraints
+from .deformation_graph import (
+    carry_matrix,
+    deformation_graph,
+    rest_positions,
+    rigidity_rows,
+    smoothness_rows,
+    step_square,
+)
+from .features import FeatureConstraints, constraints_on
 from .fit import ScanCorrespondences, ScanSearch
 from .fuse import FusedScan
 
 DEFAULTS = ShrinkWrapParameters()
-_NEIGHBOURS = 4  # nodes that carry a vertex
 
 
 @dataclass(frozen=True)
@@ -39,21 +45,6 @@ class ShrinkWrap:
     matched: np.ndarray
     residual: float
     history: np.ndarray
-
-
-@dataclass(frozen=True)
-class DeformationGraph:
-    """Nodes on a mesh.
-
-    nodes (G,) vertex numbers; positions (G, 3) mm; carriers (V, C): the nodes that carry each vertex, shares (V, C)
-    their weights (rows sum to 1); edges (E, 2): nodes that carry a common vertex.
-    """
-
-    nodes: np.ndarray
-    positions: np.ndarray
-    carriers: np.ndarray
-    shares: np.ndarray
-    edges: np.ndarray
 
 
 def shrink_wrap(
@@ -90,42 +81,6 @@ def _wrapped(model: FaceModel) -> np.ndarray:
 # --- coarse: the deformation graph ---------------------------------------------------------------------------------
 
 
-def deformation_graph(vertices: np.ndarray, triangles: np.ndarray, spacing: float) -> DeformationGraph:
-    """Spread nodes about ``spacing`` mm apart, measured along the mesh: the lips must not carry one another."""
-    pairs = edges(triangles)
-    length = np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
-    net = sp.coo_matrix((length, (pairs[:, 0], pairs[:, 1])), (len(vertices),) * 2).tocsr()
-    nodes = _spread(net, len(vertices), spacing)
-    distance = dijkstra(net, directed=False, indices=nodes, limit=4.0 * spacing).T
-    carriers = np.argsort(distance, axis=1)[:, : _NEIGHBOURS + 1]
-    near = np.take_along_axis(distance, carriers, axis=1)
-    reach = np.where(np.isfinite(near[:, -1:]), near[:, -1:], 4.0 * spacing)
-    shares = np.where(np.isfinite(near), np.clip(1.0 - near / np.maximum(reach, 1e-9), 0.0, None), 0.0)[:, :-1] ** 2
-    carriers = carriers[:, :-1]
-    shares[shares.sum(axis=1) == 0, 0] = 1.0
-    shares /= shares.sum(axis=1, keepdims=True)
-    return DeformationGraph(nodes, vertices[nodes], carriers, shares, _graph_edges(carriers, shares))
-
-
-def _spread(net: sp.csr_matrix, n: int, spacing: float) -> np.ndarray:
-    """Vertex numbers such that every vertex has one within ``spacing`` mm along the mesh, and none is much nearer."""
-    free, nodes = np.ones(n, bool), []
-    for vertex in range(n):
-        if free[vertex]:
-            nodes.append(vertex)
-            free &= ~np.isfinite(dijkstra(net, directed=False, indices=vertex, limit=spacing))
-    return np.array(nodes)
-
-
-def _graph_edges(carriers: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    pairs = []
-    for a in range(carriers.shape[1]):
-        for b in range(a + 1, carriers.shape[1]):
-            both = (shares[:, a] > 0) & (shares[:, b] > 0)
-            pairs.append(np.sort(carriers[both][:, [a, b]], axis=1))
-    return np.unique(np.concatenate(pairs), axis=0)
-
-
 def _coarse(scan, model, vertices, search, parameters) -> tuple[np.ndarray, list[float]]:
     graph = deformation_graph(vertices, model.triangles, parameters.node_spacing)
     carry, rest = carry_matrix(graph, vertices)
@@ -138,11 +93,11 @@ def _coarse(scan, model, vertices, search, parameters) -> tuple[np.ndarray, list
         rigidity = _relaxed(parameters, round_)
         energy = _Energy(unknown.size)
         _add_scan(energy, carry, found, vertex_areas(vertices, model.triangles)[found.vertices])
-        _add_features(energy, carry, model, current, _feature_constraints(scan, model, current), parameters)
+        _add_features(energy, carry, model, current, constraints_on(scan, model, current), parameters)
         for rows, constant, weight, relaxes in fixed:
             energy.add(sp.kron(rows, sp.identity(3), format="csr"), (rows @ unknown + constant).ravel(),
                        weight * (rigidity if relaxes else 1.0))
-        energy.add(*_rigidity_rows(unknown), rigidity * _step_square(graph))
+        energy.add(*rigidity_rows(unknown), rigidity * step_square(graph))
         unknown = unknown + energy.solve().reshape(-1, 3)
         current = carry @ unknown + rest
     return current, history
@@ -168,10 +123,10 @@ class _Energy:
 
 def _fixed_terms(graph, carry, vertices, model, parameters) -> list[tuple]:
     """The terms whose rows never change: (rows over the unknowns, constant, weight, relaxes with the rigidity)."""
-    smooth, constant = _smoothness_rows(graph)
+    smooth, constant = smoothness_rows(graph)
     touch = _pair_matrix(touching_pairs(model), len(vertices))
     # rest - vertices: what the carried vertices still lack of their own place, so that the pairs keep their offset.
-    lips = touch @ carry, touch @ (_rest(graph) - vertices)
+    lips = touch @ carry, touch @ (rest_positions(graph) - vertices)
     return [(smooth, constant, parameters.smoothness, True), (*lips, parameters.contact_weight, False)]
 
 
@@ -180,33 +135,6 @@ def _relaxed(parameters: ShrinkWrapParameters, round_: int) -> float:
     t = round_ / max(parameters.iterations - 1, 1)
     low = max(parameters.rigidity_end, 1e-6)
     return float(np.exp((1 - t) * np.log(max(parameters.rigidity_start, low)) + t * np.log(low)))
-
-
-def carry_matrix(graph: DeformationGraph, vertices: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
-    """C (V, 4 G) and c (V, 3): deformed vertices C unknown + c, i.e. v' = sum_i w_i (A_i (v - x_i) + x_i + t_i)."""
-    offset = vertices[:, None] - graph.positions[graph.carriers]
-    data = graph.shares[..., None] * np.concatenate([offset, np.ones((*offset.shape[:2], 1))], axis=2)
-    columns = 4 * graph.carriers[..., None] + np.arange(4)
-    rows = np.broadcast_to(np.arange(len(vertices))[:, None, None], columns.shape)
-    shape = (len(vertices), 4 * len(graph.nodes))
-    return sp.coo_matrix((data.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr(), _rest(graph)
-
-
-def _rest(graph: DeformationGraph) -> np.ndarray:
-    """(V, 3) sum_i w_i x_i: the constant part of the deformed vertices."""
-    return np.einsum("vc,vcd->vd", graph.shares, graph.positions[graph.carriers])
-
-
-def _smoothness_rows(graph: DeformationGraph) -> tuple[sp.csr_matrix, np.ndarray]:
-    """E_smooth: rows A_i (x_j - x_i) + x_i + t_i - (x_j + t_j), both ways along every edge; matrix and constant."""
-    i, j = np.concatenate([graph.edges, graph.edges[:, ::-1]]).T
-    offset = graph.positions[j] - graph.positions[i]
-    rows = np.arange(len(i))
-    data = np.concatenate([offset.ravel(), np.ones(len(i)), -np.ones(len(i))])
-    row = np.concatenate([np.repeat(rows, 3), rows, rows])
-    column = np.concatenate([(4 * i[:, None] + np.arange(3)).ravel(), 4 * i + 3, 4 * j + 3])
-    matrix = sp.coo_matrix((data, (row, column)), (len(i), 4 * len(graph.nodes))).tocsr()
-    return matrix, -offset
 
 
 def _add_scan(energy: _Energy, carry, found: ScanCorrespondences, area: np.ndarray) -> None:
@@ -234,35 +162,6 @@ def _to_rays(points: np.ndarray, constraints: FeatureConstraints) -> np.ndarray:
     """(120,) offsets r of the points (40, 3) with A r = A x - b: from where the rays meet best."""
     inverse = np.linalg.pinv(constraints.A, rcond=1e-6, hermitian=True)
     return (points - np.einsum("fij,fj->fi", inverse, constraints.b)).ravel()
-
-
-def _step_square(graph: DeformationGraph) -> float:
-    """mm^2: turns the dimensionless deviation of A from a rotation into the offset it makes at the next node."""
-    step = graph.positions[graph.edges[:, 0]] - graph.positions[graph.edges[:, 1]]
-    return float((step**2).sum(axis=1).mean())
-
-
-def _rigidity_rows(unknown: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
-    """E_rigid: the six equations that make the columns a_c of each A orthonormal, linearised at the present A."""
-    G = len(unknown) // 4
-    columns = unknown.reshape(G, 4, 3)[:, :3]  # columns[g, c] is a_c of node g
-    rows, cols, data, value = [], [], [], []
-    for number, (a, b) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
-        value.append((columns[:, a] * columns[:, b]).sum(axis=1) - (a == b))
-        for first, second in ((a, b), (b, a)):
-            rows.append(np.repeat(6 * np.arange(G) + number, 3))
-            cols.append((12 * np.arange(G)[:, None] + 3 * first + np.arange(3)).ravel())
-            data.append(columns[:, second].ravel())
-    matrix = sp.coo_matrix((np.concatenate(data), (np.concatenate(rows), np.concatenate(cols))), (6 * G, 12 * G))
-    return matrix.tocsr(), np.stack(value, axis=1).ravel()
-
-
-def _feature_constraints(scan: FusedScan, model: FaceModel, vertices: np.ndarray) -> FeatureConstraints:
-    normals = vertex_normals(vertices, model.triangles)
-    return feature_constraints(
-        scan, surface_points(vertices, model.feature_triangles, model.feature_weights),
-        surface_points(normals, model.feature_triangles, model.feature_weights),
-    )
 
 
 # --- fine: displacements along the normals -------------------------------------------------------------------------
