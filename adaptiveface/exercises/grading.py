@@ -1,0 +1,212 @@
+"""How a learner's function is judged: random cases, the exact answer, and a list of mistakes known by their answers.
+
+A mistake is recognised by doing it: the grader computes what each known mistake would answer and compares. What matches
+no mistake is described by its properties (shape, bounds, orthonormality) and by its distance to the exact answer.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..parameters import Parameters
+from .trial import Trial, run_trial
+
+#: Keyword arguments of one call of the learner's function.
+Case = dict[str, Any]
+
+
+class Wrong(Exception):
+    """An answer that cannot be compared at all; its text says why, in words for the learner."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake people make: what to say, and the answer it gives in a case."""
+
+    words: str
+    answer: Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Grade:
+    """``findings``: what is wrong, in words (none: right); ``cases``: how many were run; ``started``: not a stub."""
+
+    exercise: str
+    findings: tuple[str, ...]
+    cases: int
+    started: bool = True
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.findings
+
+    def __str__(self) -> str:
+        if self.passed:
+            return f"{self.exercise}: right on all {self.cases} random cases."
+        return "\n".join([f"{self.exercise}: not yet.", *(f"  - {finding}" for finding in self.findings)])
+
+    __repr__ = __str__
+
+
+@dataclass(frozen=True)
+class Report:
+    """The grade and, for a function that passed, the tracker's run with it."""
+
+    grade: Grade
+    trial: Trial | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Right on the random cases, and the tracker follows the face with it."""
+        return self.grade.passed and (self.trial is None or self.trial.passed)
+
+    def __str__(self) -> str:
+        return "\n".join(str(part) for part in (self.grade, self.trial) if part is not None)
+
+    __repr__ = __str__
+
+
+@dataclass(frozen=True)
+class Exercise:
+    """One exercise. The package's side of it:
+
+    ``cases`` makes the random cases; ``truth(**case)`` the exact answer; ``parse(answer, case)`` brings an answer to a
+    comparable form or raises :class:`Wrong`; ``faults(answer, case)`` names broken properties; ``near(a, b, case)``
+    tells whether two parsed answers are the same; ``describe(answer, truth, case)`` says how far an unknown wrong one
+    is off; ``swap(function)`` is a context in which the tracker calls the function.
+    """
+
+    name: str
+    task: str
+    cases: Callable[[], list[Case]]
+    truth: Callable[..., Any]
+    parse: Callable[[Any, Case], Any]
+    near: Callable[[Any, Any, Case], bool]
+    faults: Callable[[Any, Case], list[str]]
+    describe: Callable[[Any, Any, Case], str]
+    swap: Callable[[Callable], AbstractContextManager]
+    mistakes: tuple[Mistake, ...] = ()
+    parameters: Parameters | None = None
+
+    def grade(self, function: Callable) -> Grade:
+        """Run ``function`` on the random cases and say what is wrong; never raises for what the function does."""
+        cases = self.cases()
+        answers, findings = [], []
+        for number, case in enumerate(cases):
+            try:
+                answers.append(self._answer(function, case))
+            except _NotStarted:
+                return Grade(
+                    self.name, (f"nothing was returned: write the function's body. {self.task}",), len(cases), False
+                )
+            except Wrong as wrong:
+                return Grade(self.name, (f"{wrong} (case {number + 1} of {len(cases)})",), len(cases))
+            except Exception as error:  # noqa: BLE001 - whatever the learner's code raises is a finding
+                text = f"it raised {type(error).__name__}: {error} (case {number + 1} of {len(cases)})"
+                return Grade(self.name, (text,), len(cases))
+        truths = [self.parse(self.truth(**case), case) for case in cases]
+        for answer, case in zip(answers, cases, strict=True):
+            findings += [fault for fault in self.faults(answer, case) if fault not in findings]
+            if findings:
+                break
+        right = [self.near(a, t, c) for a, t, c in zip(answers, truths, cases, strict=True)]
+        if not all(right):
+            findings += [self._recognised(answers, truths, cases) or self._unknown(answers, truths, cases, right)]
+        return Grade(self.name, tuple(findings), len(cases))
+
+    def _answer(self, function: Callable, case: Case) -> Any:
+        """The parsed answer; a copy of the case goes in, so that a function that changes its inputs is found out."""
+        given = copy.deepcopy(case)
+        with np.errstate(all="ignore"):
+            answer = function(**given)
+        if answer is None:
+            raise _NotStarted
+        if not _same(given, case):
+            raise Wrong("it writes into its input arrays: the tracker still needs them, work on copies")
+        return self.parse(answer, case)
+
+    def _recognised(self, answers, truths, cases) -> str | None:
+        """The words of the first known mistake that gives these answers in every case."""
+        for mistake in self.mistakes:
+            made = [self.parse(mistake.answer(**case), case) for case in cases]
+            if all(self.near(m, t, c) for m, t, c in zip(made, truths, cases, strict=True)):
+                continue
+            if all(self.near(a, m, c) for a, m, c in zip(answers, made, cases, strict=True)):
+                return mistake.words
+        return None
+
+    def _unknown(self, answers, truths, cases, right: list[bool]) -> str:
+        first = right.index(False)
+        count = f"wrong in {right.count(False)} of {len(cases)} cases"
+        return f"{count}; case {first + 1}: {self.describe(answers[first], truths[first], cases[first])}"
+
+    @contextmanager
+    def in_tracker(self, function: Callable) -> Iterator[None]:
+        """Context in which every tracker calls ``function``; the package's own is back on exit, also after errors."""
+        with self.swap(function):
+            yield
+
+    def track(self, function: Callable, source=None, actor=None, parameters=None, frames: int = 16) -> Trial:
+        """Track ``frames`` frames with ``function`` in place and with the package's own, and compare.
+
+        ``source`` (anything with ``read(i)``) and its ``actor``: a small built-in performance when None.
+        ``parameters``: those of the exercise when None.
+        """
+        return run_trial(lambda: self.in_tracker(function), source, actor, parameters or self.parameters, frames)
+
+    def check(self, function: Callable, **options) -> Report:
+        """Grade ``function`` and, if it is right, track with it (``options`` as in :meth:`track`)."""
+        grade = self.grade(function)
+        return Report(grade, self.track(function, **options) if grade.passed else None)
+
+
+class _NotStarted(Exception):
+    """The function returned None."""
+
+
+def _same(a: Case, b: Case) -> bool:
+    return all(_equal(a[key], b[key]) for key in b)
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if hasattr(b, "__dataclass_fields__"):
+        return all(_equal(getattr(a, name), getattr(b, name)) for name in b.__dataclass_fields__)
+    return np.array_equal(a, b)
+
+
+def as_array(answer: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
+    """``answer`` as a float array of ``shape``; raises :class:`Wrong` for a wrong shape or values not finite."""
+    try:
+        array = np.asarray(answer, float)
+    except (TypeError, ValueError):
+        raise Wrong(f"{what} is not an array of numbers but {type(answer).__name__}") from None
+    if array.shape != shape:
+        raise Wrong(f"{what} has the wrong shape {array.shape}: {shape} is expected{_shape_hint(array.shape, shape)}")
+    if not np.isfinite(array).all():
+        raise Wrong(f"{what} holds NaN or infinite values")
+    return array
+
+
+def _shape_hint(given: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    if len(given) == 2 and given == expected[::-1]:
+        return " (a transpose?)"
+    if np.prod(given, initial=1) == np.prod(expected, initial=1):
+        return " (the number of values is right: reshape it)"
+    return ""
+
+
+def scale_hint(answer: np.ndarray, truth: np.ndarray) -> str:
+    """How a wrong array relates to the right one: a factor, a sign, or only its relative distance."""
+    size = float(np.linalg.norm(truth)) or 1.0
+    factor = float(np.vdot(answer, truth)) / size**2
+    if factor and np.linalg.norm(answer - factor * truth) < 1e-6 * np.linalg.norm(answer):
+        what = "the sign and a constant factor are" if factor < 0 else "a constant factor is"
+        return f"it is the right answer times {factor:.4g}: {what} wrong"
+    return f"off by {np.linalg.norm(answer - truth) / size:.1%} of the right answer's size"
