@@ -29,11 +29,13 @@ from .feature_rows import FeatureRows
 class PrefactoredSystem:
     """A0 = w1 I + w2 L^T L on the frontal vertices, factorised once, three right-hand sides at a time.
 
-    Raises ValueError when A0 is singular (w1 = 0 and no vertex outside the frontal region).
+    ``laplacian(vertices, triangles)`` gives L (N, N). Raises ValueError when A0 is singular (w1 = 0 and no vertex
+    outside the frontal region).
     """
 
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, frontal: np.ndarray, w1: float, w2: float) -> None:
-        rows = cotangent_laplacian(vertices, triangles)[:, np.flatnonzero(frontal)]
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, frontal: np.ndarray, w1: float, w2: float,
+                 laplacian=cotangent_laplacian) -> None:
+        rows = laplacian(vertices, triangles)[:, np.flatnonzero(frontal)]
         self.smoothing = (w2 * (rows.T @ rows)).tocsr()
         matrix = (self.smoothing + w1 * sp.identity(rows.shape[1])).tocsc()
         # The matrix is symmetric positive definite: diagonal pivots and a symmetric ordering keep the factor sparse.
@@ -82,9 +84,9 @@ class LaplacianDeformation:
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, frontal: np.ndarray, feature_triangles: np.ndarray,
-                 feature_weights: np.ndarray, w1: float, w2: float) -> None:
+                 feature_weights: np.ndarray, w1: float, w2: float, laplacian=cotangent_laplacian) -> None:
         self.w1 = w1
-        self.system = PrefactoredSystem(vertices, triangles, frontal, w1, w2)
+        self.system = PrefactoredSystem(vertices, triangles, frontal, w1, w2, laplacian)
         # A corner outside the frontal region does not move: its share of the feature is dropped.
         self.corners = (np.cumsum(frontal) - 1)[feature_triangles]
         self.shares = np.where(frontal[feature_triangles], feature_weights, 0.0)

@@ -1,0 +1,32 @@
+"""Panels and pictures for the notebooks; the only package that imports pyvista or ipywidgets.
+
+Needs the extra ``notebooks``. :func:`load_session` gives a performance, :class:`Workbench` puts a stage on show, and
+the studies (:mod:`.laplacian_study` and its neighbours) hold what one notebook alone needs.
+"""
+
+from ..errors import MissingExtraError
+
+try:
+    import ipywidgets  # noqa: F401
+except ImportError:
+    raise MissingExtraError(
+        'the notebooks need more packages: python -m pip install "adaptiveface[notebooks]"'
+    ) from None
+
+from .charts import GridChart, LiveChart
+from .face_view import FaceView, colour_bar
+from .headless import prepare_rendering
+from .kernel import on_main_thread, running_tasks, strict
+from .measures import Measures, depth_distance, plain
+from .parameter_panel import ParameterPanel
+from .pictures import CameraView
+from .player import Player
+from .replay import Replay
+from .session import Session, fast, load_session
+from .workbench import SeriesCache, Workbench, error_chart, figure_11
+
+__all__ = [
+    "CameraView", "FaceView", "GridChart", "LiveChart", "Measures", "ParameterPanel", "Player", "Replay", "SeriesCache",
+    "Session", "Workbench", "colour_bar", "depth_distance", "error_chart", "fast", "figure_11", "load_session",
+    "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict",
+]  # fmt: skip

@@ -1,0 +1,118 @@
+"""Charts that are updated in place, fast enough to grow while a performance plays.
+
+A full Matplotlib drawing takes 50 ms and more. Here axes and labels are drawn once, and an update only draws the lines
+over a copy of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import ipywidgets as widgets
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .pictures import encode, image_widget
+
+#: Okabe & Ito's colours, told apart with any colour vision.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+
+
+class LiveChart:
+    """Lines over frame numbers (or any x) with fixed axes and a cursor. ``widget`` is what to display."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        x: tuple[float, float],
+        y: tuple[float, float],
+        xlabel: str,
+        ylabel: str,
+        title: str = "",
+        size: tuple[int, int] = (420, 260),
+        log: bool = False,
+    ) -> None:
+        figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white", layout="constrained")
+        self._canvas, self._axis = FigureCanvasAgg(figure), figure.add_subplot()
+        axis = self._axis
+        axis.set(xlim=x, ylim=y, xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
+        axis.set_title(title, fontsize=9)
+        axis.tick_params(labelsize=8)
+        axis.xaxis.label.set_size(9)
+        axis.yaxis.label.set_size(9)
+        axis.grid(alpha=0.3)
+        self._lines = {}
+        for name, colour in zip(names, COLOURS, strict=False):
+            (line,) = axis.plot([], [], color=colour, lw=1.6, label=name, animated=True)
+            self._lines[name] = line
+        self._cursor = axis.axvline(np.nan, color="0.4", lw=1, animated=True)
+        if len(self._lines) > 1:
+            handles = [
+                axis.plot([], [], color=line.get_color(), lw=1.6, label=name)[0] for name, line in self._lines.items()
+            ]
+            axis.legend(handles=handles, fontsize=8, loc="upper right", framealpha=0.8)
+        self._canvas.draw()
+        self._background = self._canvas.copy_from_bbox(figure.bbox)
+        self._image = image_widget(*size, format="png", name="adaptiveface-chart")
+        self.widget = widgets.VBox([self._image])
+        self.update()
+
+    def update(self, cursor: float = np.nan, **series) -> None:
+        """Lines by name: an array over 0, 1, 2, ... or a pair (x, y); NaN leaves a gap. ``cursor``: vertical line."""
+        for name, values in series.items():
+            x, y = values if isinstance(values, tuple) else (np.arange(len(values)), values)
+            self._lines[name].set_data(x, y)
+        self._cursor.set_xdata([cursor, cursor])
+        self._canvas.restore_region(self._background)
+        for artist in (self._cursor, *self._lines.values()):
+            self._axis.draw_artist(artist)
+        self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
+
+
+class GridChart:
+    """A table of numbers as a heat map that fills cell by cell (parameter sweeps)."""
+
+    def __init__(
+        self,
+        rows: Sequence,
+        columns: Sequence,
+        row_label: str,
+        column_label: str,
+        title: str,
+        limits=None,
+        size: tuple[int, int] = (460, 340),
+    ) -> None:
+        self.rows, self.columns, self.limits = list(rows), list(columns), limits
+        self._labels, self._size = (row_label, column_label, title), size
+        self.values = np.full((len(self.rows), len(self.columns)), np.nan)
+        self._image = image_widget(*size, format="png", name="adaptiveface-chart")
+        self.widget = widgets.VBox([self._image])
+        self.draw()
+
+    def set(self, row: int, column: int, value: float) -> None:
+        """Fill one cell and redraw."""
+        self.values[row, column] = value
+        self.draw()
+
+    def draw(self) -> None:
+        figure = Figure(
+            figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, facecolor="white", layout="constrained"
+        )
+        canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
+        low, high = self.limits or (np.nanmin(self.values, initial=np.inf), np.nanmax(self.values, initial=-np.inf))
+        low, high = (low, max(high, low + 1e-9)) if np.isfinite([low, high]).all() else (0.0, 1.0)
+        image = axis.imshow(self.values, vmin=low, vmax=high, cmap="viridis", aspect="auto")
+        axis.set_xticks(range(len(self.columns)), self.columns, fontsize=8)
+        axis.set_yticks(range(len(self.rows)), self.rows, fontsize=8)
+        for (row, column), value in np.ndenumerate(self.values):
+            if np.isfinite(value):
+                dark = (value - low) / (high - low) < 0.6
+                axis.text(column, row, f"{value:.3f}", ha="center", va="center", fontsize=8, color="w" if dark else "k")
+        row_label, column_label, title = self._labels
+        axis.set_xlabel(column_label, fontsize=9)
+        axis.set_ylabel(row_label, fontsize=9)
+        axis.set_title(title, fontsize=9)
+        figure.colorbar(image, ax=axis).ax.tick_params(labelsize=8)
+        canvas.draw()
+        self._image.value = encode(np.asarray(canvas.buffer_rgba())[..., :3], "png")

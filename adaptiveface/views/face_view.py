@@ -1,0 +1,173 @@
+"""The face view: one or several heads side by side with linked cameras, heat maps with one fixed range, points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import ipywidgets as widgets
+import numpy as np
+
+from ..actor import Actor
+from ..mesh import vertex_normals
+from ..rendering import Light, heat_map, irradiance
+from .headless import prepare_rendering
+from .kernel import on_main_thread
+from .pictures import encode, image_widget
+
+SKIN = (205.0, 170.0, 150.0)
+#: A colour map that people with any colour vision can order, and that survives printing in grey.
+COLOURMAP = "viridis"
+
+
+class FaceView:
+    """Heads of one topology, pane by pane. ``widget`` is what to display; :meth:`close` frees the renderer.
+
+    ``titles``: one per pane. ``limits``, ``label``: range and meaning of every heat map ("distance in mm"). ``shape``
+    (rows, columns) of the panes. Cameras are linked: turn, tilt and zoom act on all.
+    """
+
+    def __init__(
+        self, vertices: np.ndarray, triangles: np.ndarray, titles: Sequence[str] = ("",), limits=(0.0, 5.0),
+        label: str = "", pane: tuple[int, int] = (380, 420), centre: np.ndarray | None = None,
+        shape: tuple[int, int] | None = None, colourmap: str = COLOURMAP, radius: float = 125.0,
+    ) -> None:  # fmt: skip
+        pyvista = prepare_rendering()
+        rows, columns = shape or (1, len(titles))
+        self.limits, self.label, self._radius = tuple(limits), label, radius
+        size = (pane[0] * columns, pane[1] * rows)
+        self.plotter = pyvista.Plotter(
+            off_screen=True, notebook=False, shape=(rows, columns), window_size=size, border=False
+        )
+        faces = np.column_stack([np.full(len(triangles), 3), triangles]).astype(np.int64)
+        self._triangles = np.asarray(triangles)
+        self._meshes, self._colours, self._normals, self._clouds, self._colourmap = [], [], [], {}, colourmap
+        for number, title in enumerate(titles):
+            self.plotter.subplot(*divmod(number, columns))
+            self.plotter.set_background("white")
+            mesh = pyvista.PolyData(np.asarray(vertices, np.float32), faces)
+            mesh["lit"] = np.full((len(vertices), 3), 200, np.uint8)
+            self.plotter.add_mesh(mesh, scalars="lit", rgb=True, lighting=False, show_scalar_bar=False)
+            if title:
+                self.plotter.add_text(title, position="upper_left", font_size=9, color="black")
+            self._meshes.append(mesh)
+            self._colours.append(np.full((len(vertices), 3), SKIN))
+            self._normals.append(vertex_normals(np.asarray(vertices, float), self._triangles))
+        self.plotter.disable_anti_aliasing()
+        if len(titles) > 1:
+            self.plotter.link_views()
+        self._centre = np.asarray(vertices, float).mean(axis=0) if centre is None else np.asarray(centre, float)
+        self._image = image_widget(*size, name="adaptiveface-face")
+        self._make_widget(label)
+        self.look()
+
+    @classmethod
+    def of(cls, actor: Actor, titles: Sequence[str] = ("",), **options) -> FaceView:
+        """The view of an actor's head, looking at the face."""
+        centre = actor.neutral[actor.frontal].mean(axis=0)
+        return cls(actor.neutral, actor.triangles, titles, centre=centre, **options)
+
+    def show(self, pane: int, vertices: np.ndarray, heat: np.ndarray | None = None) -> None:
+        """Put vertices (N, 3), head frame mm, into a pane, coloured by ``heat`` (N,); then :meth:`refresh`."""
+        mesh = self._meshes[pane]
+        mesh.points = np.asarray(vertices, np.float32)
+        self._normals[pane] = vertex_normals(np.asarray(vertices, float), self._triangles)
+        self._colours[pane] = (
+            np.full((mesh.n_points, 3), SKIN) if heat is None else heat_map(heat, self.limits, self._colourmap)
+        )
+
+    def show_points(self, pane: int, points: np.ndarray, values: np.ndarray | None = None, count: int = 4000) -> None:
+        """A cloud of points (n, 3) over a pane's head, coloured by values (n,) in the view's range.
+
+        Drawn with a constant ``count``: a cloud that changes its size would have to be rebuilt for every frame.
+        """
+        pyvista = prepare_rendering()
+        pick = np.linspace(0, len(points) - 1, count).astype(int) if len(points) else np.zeros(0, int)
+        positions = np.asarray(points, np.float32)[pick] if len(points) else np.full((count, 3), np.nan, np.float32)
+        heat = (
+            np.zeros(count, np.float32) if values is None or not len(points) else np.asarray(values, np.float32)[pick]
+        )
+        if pane not in self._clouds:
+            cloud = pyvista.PolyData(positions)
+            cloud["heat"] = heat
+            columns = self.plotter.shape[1]
+            self.plotter.subplot(*divmod(pane, columns))
+            self.plotter.add_mesh(
+                cloud, scalars="heat", cmap=self._colourmap, clim=self.limits, point_size=3, style="points",
+                render_points_as_spheres=False, show_scalar_bar=False, lighting=False, reset_camera=False,
+            )  # fmt: skip
+            self._clouds[pane] = cloud
+        else:
+            self._clouds[pane].points = positions
+            self._clouds[pane]["heat"] = heat
+
+    def look(self, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0) -> None:
+        """Camera ``turn`` degrees to the side and ``tilt`` degrees up from straight ahead; redraws."""
+        a, e = np.radians(turn), np.radians(tilt)
+        away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+        self._away = away
+        for renderer in self.plotter.renderers:
+            camera = renderer.camera
+            camera.focal_point, camera.position, camera.up = self._centre, self._centre + 700.0 * away, (0.0, 1.0, 0.0)
+            camera.view_angle = float(np.degrees(2 * np.arctan(self._radius / 700.0 / zoom)))
+            camera.clipping_range = (100.0, 2000.0)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Draw, and send the picture to the browser."""
+        self._image.value = encode(self.picture())
+
+    def picture(self) -> np.ndarray:
+        """(H, W, 3) uint8 of the panes as they are now."""
+        # Lit per vertex here: in software, VTK's own lights take 20 ms for every pane.
+        towards, up = self._away[None], np.array([0.0, 1.0, 0.0])
+        light = Light(key_direction=tuple(0.6 * up + np.cross(up, self._away) * -0.5 + 0.5 * self._away))
+        for mesh, normals, colours in zip(self._meshes, self._normals, self._colours, strict=True):
+            diffuse, specular = irradiance(normals, np.broadcast_to(towards, normals.shape), light)
+            mesh["lit"] = np.clip(colours * diffuse[:, None] + 255 * specular[:, None], 0, 255).astype(np.uint8)
+        self.plotter.render()  # screenshot() alone returns the previous picture
+        return np.asarray(self.plotter.screenshot(return_img=True))[..., :3]
+
+    def close(self) -> None:
+        """Free the renderer; the last picture stays."""
+        self.plotter.close()
+
+    def _make_widget(self, label: str) -> None:
+        style, layout = {"description_width": "36px"}, widgets.Layout(width="200px")
+        self.turn = widgets.FloatSlider(
+            0, min=-90, max=90, step=5, description="turn", style=style, layout=layout, readout_format=".0f"
+        )
+        self.tilt = widgets.FloatSlider(
+            0, min=-60, max=60, step=5, description="tilt", style=style, layout=layout, readout_format=".0f"
+        )
+        self.zoom = widgets.FloatSlider(
+            1, min=0.5, max=3, step=0.1, description="zoom", style=style, layout=layout, readout_format=".1f"
+        )
+        move = on_main_thread(lambda change: self.look(self.turn.value, self.tilt.value, self.zoom.value))
+        for slider in (self.turn, self.tilt, self.zoom):
+            slider.observe(move, "value")
+        parts = [
+            self._image,
+            widgets.HBox([self.turn, self.tilt, self.zoom], layout=widgets.Layout(flex_flow="row wrap")),
+        ]
+        if label:
+            parts.insert(1, colour_bar(self.limits, label, self._colourmap))
+        self.widget = widgets.VBox(parts)
+
+
+def colour_bar(limits, label: str, colourmap: str = COLOURMAP, width: int = 380) -> widgets.Image:
+    """The legend of a heat map: its range and meaning, drawn once."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width / 100, 0.55), dpi=100, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    axis = figure.add_axes((0.05, 0.72, 0.9, 0.24))
+    bar = figure.colorbar(ScalarMappable(Normalize(*limits), colourmap), cax=axis, orientation="horizontal")
+    bar.ax.tick_params(labelsize=8, pad=1)
+    bar.set_label(label, fontsize=8, labelpad=1)
+    canvas.draw()
+    image = image_widget(width, 55, "png")
+    image.value = encode(np.asarray(canvas.buffer_rgba())[..., :3], "png")
+    return image

@@ -1,0 +1,115 @@
+"""Inside a Jupyter kernel: on which thread callbacks run, what becomes of errors, tasks that end with their view.
+
+JupyterLab runs widget callbacks on a second thread ("subshell"), while OpenGL contexts belong to the thread that made
+them: drawn from elsewhere, pictures are black. Callbacks are therefore handed to the kernel's main loop, and of several
+that arrive while it is busy only the newest runs. Long work is an asyncio task of that loop, cut into short steps: no
+thread of ours exists.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import html
+import os
+import threading
+import traceback
+import weakref
+from collections.abc import Callable, Coroutine
+from contextlib import contextmanager
+
+from ..errors import AdaptiveFaceError
+
+#: Environment variable: errors of callbacks are raised as well as shown, so that test runs fail.
+STRICT = "ADAPTIVEFACE_STRICT"
+
+_tasks: weakref.WeakSet[BackgroundTask] = weakref.WeakSet()
+
+
+def strict() -> bool:
+    """Whether errors in callbacks must be raised (``ADAPTIVEFACE_STRICT=1``)."""
+    return os.environ.get(STRICT, "") not in ("", "0")
+
+
+def running_loop() -> asyncio.AbstractEventLoop | None:
+    """The kernel's event loop, or None in plain Python."""
+    try:
+        return asyncio.get_running_loop()
+    except RuntimeError:
+        return None
+
+
+def on_main_thread(function: Callable) -> Callable:
+    """Run a widget callback on the kernel's main thread, newest call wins; decorate in code that a cell calls."""
+    loop, waiting, lock = running_loop(), [], threading.Lock()
+
+    def run_newest() -> None:
+        with lock:
+            arguments, options = waiting.pop()
+            waiting.clear()
+        function(*arguments, **options)
+
+    @functools.wraps(function)
+    def wrapper(*arguments, **options):
+        if loop is None or threading.current_thread() is threading.main_thread():
+            return function(*arguments, **options)
+        with lock:
+            waiting.append((arguments, options))
+            first = len(waiting) == 1
+        if first:
+            loop.call_soon_threadsafe(run_newest)
+        return None
+
+    return wrapper
+
+
+@contextmanager
+def shown_errors(show: Callable[[str], None]):
+    """Errors end here: ``show`` gets a message as HTML ("" when all went well); raised too where :func:`strict`."""
+    try:
+        yield
+    except Exception as error:
+        text = str(error) if isinstance(error, AdaptiveFaceError) else "".join(traceback.format_exception_only(error))
+        show(
+            f"<div role='alert' style='color:#b3261e;padding:4px'><b>Not applied:</b> {html.escape(text.strip())}</div>"
+        )
+        if strict():
+            raise
+    else:
+        show("")
+
+
+class BackgroundTask:
+    """At most one asyncio task: starting another one stops it. In plain Python, without a loop, it runs to its end."""
+
+    def __init__(self) -> None:
+        self._task: asyncio.Task | None = None
+        _tasks.add(self)
+
+    @property
+    def running(self) -> bool:
+        return self._task is not None and not self._task.done()
+
+    def start(self, coroutine: Coroutine) -> None:
+        self.stop()
+        loop = running_loop()
+        if loop is None:
+            asyncio.run(coroutine)
+        else:
+            self._task = loop.create_task(coroutine)
+
+    def stop(self) -> None:
+        if self.running:
+            self._task.cancel()
+
+    async def finished(self) -> None:
+        """Wait for the end; raises what the task raised."""
+        while self.running:
+            await asyncio.sleep(0.01)
+        if self._task is not None and not self._task.cancelled() and self._task.exception() is not None:
+            raise self._task.exception()
+
+
+def running_tasks() -> int:
+    """Number of background tasks that still run (0 once every view is closed)."""
+    return sum(task.running for task in _tasks)

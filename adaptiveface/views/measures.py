@@ -1,0 +1,83 @@
+"""What the heat maps and charts of the notebooks show, per vertex and per frame. Millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..evaluation import motion_error, neutral_alignment
+from ..frame import RgbdFrame
+from ..mesh import transform_points
+from ..tracking.types import TrackedFrame
+from .session import Session
+
+#: (vertices (N, 3) in the head frame, heat (N,) or None) of one tracked frame.
+Pane = Callable[[TrackedFrame, RgbdFrame], tuple[np.ndarray, np.ndarray | None]]
+
+
+def depth_distance(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
+    """(n,) distance, mm, of camera-frame points (n, 3) from the depth on their viewing ray; NaN where none."""
+    pixels = np.round(frame.camera.project(points)).astype(int)
+    height, width = frame.depth.shape
+    inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+    measured = np.where(inside, frame.depth[np.where(inside, pixels[:, 1], 0), np.where(inside, pixels[:, 0], 0)], 0.0)
+    gap = np.abs(measured - points[:, 2])
+    return np.where((measured > 0) & (gap < 30.0), gap, np.nan)
+
+
+class Measures:
+    """Errors of tracked frames of one session: against the truth where it is known, else against the depth map."""
+
+    def __init__(self, session: Session) -> None:
+        self.session, actor = session, session.actor
+        truth = session.truth
+        self.has_truth = truth is not None and truth.neutral.shape == actor.neutral.shape
+        self.label = "motion error against the truth, mm" if self.has_truth else "distance to the depth map, mm"
+        if self.has_truth:
+            self._alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
+
+    def error(self, result: TrackedFrame, frame: RgbdFrame, stage: str = "v4") -> np.ndarray:
+        """(N,) error of a stage's mesh, mm; NaN outside the frontal region and where unknown."""
+        actor = self.session.actor
+        vertices = result.in_camera(getattr(result, stage))
+        if self.has_truth:
+            truth = self.session.truth[frame.index]
+            vectors = motion_error(
+                vertices, actor.neutral, truth.vertices, self.session.truth.neutral, truth.rigid, self._alignment
+            )
+            lengths = np.linalg.norm(vectors, axis=1)
+        else:
+            lengths = depth_distance(frame, vertices)
+        return np.where(actor.frontal & actor.depth_valid, lengths, np.nan)
+
+    def mean_error(self, result: TrackedFrame | None, frame: RgbdFrame, stage: str = "v4") -> float:
+        """Mean of :meth:`error`, mm; NaN for a frame that is not tracked."""
+        if result is None or not result.tracked:
+            return float("nan")
+        return float(np.nanmean(self.error(result, frame, stage)))
+
+    def stage(self, name: str) -> Pane:
+        """A pane: the mesh of stage "v1" .. "v4", coloured by its error."""
+        return lambda result, frame: (getattr(result, name), self.error(result, frame, name))
+
+    def difference(self, name: str, other: str) -> Pane:
+        """A pane: the mesh of stage ``name``, coloured by its distance from stage ``other`` (figures 4 and 7)."""
+        frontal = self.session.actor.frontal
+
+        def pane(result: TrackedFrame, frame: RgbdFrame):
+            lengths = np.linalg.norm(getattr(result, name) - getattr(result, other), axis=1)
+            return getattr(result, name), np.where(frontal, lengths, np.nan)
+
+        return pane
+
+
+def plain(name: str) -> Pane:
+    """A pane: the mesh of a stage in the colour of skin."""
+    return lambda result, frame: (getattr(result, name), None)
+
+
+def model_features(session: Session, vertices: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """(40, 3) camera frame: where the 2D features sit on a mesh (N, 3) in the head frame."""
+    actor = session.actor
+    return transform_points(pose, np.einsum("fk,fkd->fd", actor.feature_weights, vertices[actor.feature_triangles]))

@@ -1,0 +1,90 @@
+"""Pictures as widgets: arrays in, JPEG or PNG bytes in an ``ipywidgets.Image`` out; overlays on colour images."""
+
+from __future__ import annotations
+
+import cv2
+import ipywidgets as widgets
+import numpy as np
+
+from ..frame import RgbdFrame
+
+
+def encode(image: np.ndarray, format: str = "jpeg", quality: int = 85) -> bytes:
+    """(H, W, 3) uint8 RGB -> the bytes of a picture file."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality] if format == "jpeg" else []
+    done, data = cv2.imencode("." + format, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
+    if not done:
+        raise ValueError(f"an image of shape {image.shape} cannot be encoded")
+    return data.tobytes()
+
+
+def image_widget(width: int, height: int, format: str = "jpeg", name: str = "") -> widgets.Image:
+    """A picture that shrinks with its window and keeps its proportions. ``name`` becomes a CSS class for tests."""
+    image = widgets.Image(format=format, width=width, height=height)
+    image.layout = widgets.Layout(max_width="100%", height="auto", object_fit="contain", margin="2px")
+    if name:
+        image.add_class(name)
+    return image
+
+
+def depth_as_colour(depth: np.ndarray) -> np.ndarray:
+    """(H, W) mm -> (H, W, 3) uint8 grey, near is bright; for sources without colour."""
+    measured = depth[depth > 0]
+    if not len(measured):
+        return np.zeros((*depth.shape, 3), np.uint8)
+    near, far = np.percentile(measured, [1, 99])
+    grey = np.where(depth > 0, 230 - 190 * np.clip((depth - near) / max(far - near, 1.0), 0, 1), 0)
+    return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+
+
+def annotate(frame: RgbdFrame, points: np.ndarray | None = None, features: np.ndarray | None = None) -> np.ndarray:
+    """The colour image with 2D features (yellow rings), the model's features (blue crosses) and its vertices (dots).
+
+    points (n, 3), features (40, 3): camera frame, mm, or None. Returns (H, W, 3) uint8.
+    """
+    image = (depth_as_colour(frame.depth) if frame.colour is None else frame.colour).copy()
+
+    def pixels(positions: np.ndarray) -> np.ndarray:
+        return np.round(frame.camera.project(positions)).astype(int)
+
+    if points is not None:
+        for u, v in pixels(points):
+            cv2.circle(image, (int(u), int(v)), 0, (90, 220, 255), -1)
+    if features is not None:
+        for u, v in pixels(features):
+            cv2.drawMarker(image, (int(u), int(v)), (30, 90, 255), cv2.MARKER_CROSS, 5, 1, cv2.LINE_AA)
+    if frame.features is not None:
+        for u, v in frame.features.pixels[frame.features.valid]:
+            cv2.circle(image, (int(round(u)), int(round(v))), 3, (255, 220, 0), 1, cv2.LINE_AA)
+    return image
+
+
+class CameraView:
+    """The sensor's picture, cropped to the face, with features and model over it; display ``widget``."""
+
+    def __init__(self, size: tuple[int, int] = (360, 400), title: str = "what the sensor sees") -> None:
+        self.size = size
+        self._image = image_widget(*size, name="adaptiveface-camera")
+        self.widget = widgets.VBox([widgets.HTML(f"<b>{title}</b>"), self._image])
+        self._centre: np.ndarray | None = None
+
+    def show(self, frame: RgbdFrame, points: np.ndarray | None = None, features: np.ndarray | None = None) -> None:
+        """Draw a frame; arguments as for :func:`annotate`."""
+        image = annotate(frame, points, features)
+        self._image.value = encode(cv2.resize(self._crop(image, frame), self.size, interpolation=cv2.INTER_LINEAR))
+
+    def _crop(self, image: np.ndarray, frame: RgbdFrame) -> np.ndarray:
+        """A window of the view's proportions around the face, which follows large movements only."""
+        seen = frame.features is not None and frame.features.valid.sum() > 5
+        half = np.array(self.size) / max(self.size) * min(image.shape[:2]) * 0.42
+        if seen:
+            u0, v0, u1, v1 = frame.features.bounding_box
+            centre = np.array([u0 + u1, v0 + v1]) / 2
+            half = np.array(self.size) / max(self.size) * max(u1 - u0, v1 - v0, 60) * 1.25
+            if self._centre is None or np.linalg.norm(centre - self._centre) > 0.3 * half[0]:
+                self._centre = centre
+        centre = self._centre if self._centre is not None else np.array(image.shape[1::-1]) / 2
+        low = np.clip(np.round(centre - half), 0, None).astype(int)
+        high = np.round(centre + half).astype(int)
+        crop = image[low[1] : high[1], low[0] : high[0]]
+        return crop if crop.size else image

@@ -1,0 +1,106 @@
+"""Play, pause, scrub, loop, speed. The kernel drives: a slow view skips frames instead of queueing them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from .kernel import BackgroundTask, on_main_thread, shown_errors
+
+
+class Player:
+    """Steps through ``count`` frames; ``on_frame(index)`` draws one. ``widget`` is what to display."""
+
+    def __init__(self, count: int, on_frame: Callable[[int], None], fps: float = 30.0) -> None:
+        self.on_frame, self.fps, self.drawn = on_frame, fps, 0
+        self._task = BackgroundTask()
+        self._playing = False
+        self.button = widgets.ToggleButton(False, description="play", icon="play", layout=widgets.Layout(width="90px"))
+        self.button.add_class("adaptiveface-play")
+        self.slider = widgets.IntSlider(
+            0, min=0, max=max(count - 1, 0), description="frame", layout=widgets.Layout(width="360px")
+        )
+        self.slider.add_class("adaptiveface-frame")
+        self.loop = widgets.Checkbox(True, description="loop", indent=False, layout=widgets.Layout(width="60px"))
+        self.speed = widgets.Dropdown(
+            options=[("0.25 x", 0.25), ("0.5 x", 0.5), ("1 x", 1.0), ("2 x", 2.0)],
+            value=1.0,
+            layout=widgets.Layout(width="80px"),
+        )
+        self.status = widgets.HTML()
+        self.status.add_class("adaptiveface-status")
+        self._draw_on_main = on_main_thread(self._draw)
+        self.slider.observe(lambda change: self._playing or self._draw_on_main(), "value")
+        toggle = on_main_thread(lambda: self.play() if self.button.value else self.pause())
+        self.button.observe(lambda change: toggle(), "value")
+        self.widget = widgets.HBox(
+            [self.button, self.slider, self.loop, self.speed, self.status], layout=widgets.Layout(flex_flow="row wrap")
+        )
+
+    @property
+    def index(self) -> int:
+        """The frame that is shown."""
+        return self.slider.value
+
+    def go_to(self, index: int) -> None:
+        """Show a frame."""
+        self.slider.value = index
+
+    def play(self) -> None:
+        """Start; needs a running event loop (a notebook)."""
+        if not self._task.running:
+            self.button.value = True
+            self._task.start(self._run())
+
+    def pause(self) -> None:
+        """Stop where it is."""
+        self.button.value = False
+        self._task.stop()
+
+    close = pause
+
+    def _draw(self) -> None:
+        with shown_errors(lambda text: setattr(self.status, "value", text)):
+            self.on_frame(self.slider.value)
+            self.drawn += 1
+
+    async def _run(self) -> None:
+        """Frames are skipped where drawing is slower than the performance at its speed."""
+        begin, first, drawn, position = time.perf_counter(), self.slider.value, self.drawn, self.slider.value
+        if first >= self.slider.max:
+            first = position = 0
+        shown, speed = None, self.speed.value
+        try:
+            while True:
+                if speed != self.speed.value or (shown is not None and self.slider.value != shown):
+                    begin, first, speed = time.perf_counter(), self.slider.value, self.speed.value  # moved by hand
+                position = first + int((time.perf_counter() - begin) * self.fps * speed)
+                if position > self.slider.max:
+                    if not self.loop.value:
+                        return
+                    begin, first, position = time.perf_counter(), 0, 0
+                if position != shown:
+                    self._step_to(position)
+                    shown = position
+                    if (self.drawn - drawn) % 15 == 0:
+                        self._report(begin, first, drawn)
+                await asyncio.sleep(0.004)  # lets sliders and other tasks in
+        finally:
+            self.button.value = False
+
+    def _step_to(self, position: int) -> None:
+        self._playing = True
+        try:
+            self.slider.value = position
+        finally:
+            self._playing = False
+        self._draw()
+
+    def _report(self, begin: float, first: int, drawn: int) -> None:
+        now = time.perf_counter()
+        last, self._last = getattr(self, "_last", None), (now, self.drawn)
+        if last and self.drawn > last[1]:
+            self.status.value = f"{(self.drawn - last[1]) / max(now - last[0], 1e-9):.0f} pictures/s"

@@ -1,0 +1,187 @@
+"""A performance tracked again and again: the frame on show at once, the rest in the background."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..actor import Actor
+from ..frame import RgbdFrame
+from ..parameters import Parameters
+from ..pipeline import one_blas_thread
+from ..tracking.adaptive_pca import AdaptiveModel
+from ..tracking.expression import BlendshapeFit
+from ..tracking.kalman import CoefficientFilter
+from ..tracking.laplacian import LaplacianDeformation
+from ..tracking.rigid import RigidTracker
+from ..tracking.tracker import FaceTracker
+from ..tracking.types import SampleState, TrackedFrame
+from .kernel import BackgroundTask
+
+MakeTracker = Callable[[Actor, Parameters], FaceTracker]
+
+
+def snapshot(tracker: FaceTracker) -> FaceTracker:
+    """The tracker as it is between two frames, without copying arrays: tracking on replaces them.
+
+    Only the sample buffer of the adaptive model is shared and goes on changing; the copy must not learn.
+    """
+    saved = copy.copy(tracker)
+    saved.kalman, saved.model = copy.copy(tracker.kalman), copy.copy(tracker.model)
+    return saved
+
+
+def retuned(tracker: FaceTracker, parameters: Parameters) -> FaceTracker:
+    """A copy of a tracker with other parameters that keeps where the head is; only stages that changed are made anew.
+
+    For one frame: the copy does not learn. The adaptive model stays as it is; see :meth:`Replay.preview`.
+    """
+    old, new = tracker.parameters, parameters.set(adaptive_pca__learn=False)
+    if old.blendshapes.A != new.blendshapes.A:
+        return FaceTracker(tracker.actor, new)
+    out = snapshot(tracker)
+    out.parameters, actor = new, tracker.actor
+    rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
+    if (old.laplacian.w1, old.laplacian.w2) != (new.laplacian.w1, new.laplacian.w2):
+        out.deformation = LaplacianDeformation(*rigging, new.laplacian.w1, new.laplacian.w2)
+    if old.laplacian.final_w2 != new.laplacian.final_w2:
+        out.final_deformation = LaplacianDeformation(*rigging, 0.0, new.laplacian.final_w2)
+    if old.blendshapes != new.blendshapes:
+        out.blendshapes = BlendshapeFit(actor, new.blendshapes)
+    if old.rigid != new.rigid:
+        out.rigid = RigidTracker(tracker.rigid.vertex_weights, new.rigid)
+    if old.kalman != new.kalman:
+        out.kalman = CoefficientFilter(new.kalman)
+    return out
+
+
+class Replay:
+    """Results of every frame under the current ``parameters``; ``results`` (one per frame, None until tracked).
+
+    ``make_tracker(actor, parameters)`` may put other parts into the tracker. ``on_result(index)`` is told of every
+    frame that the background run finishes.
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[RgbdFrame],
+        actor: Actor,
+        parameters: Parameters | None = None,
+        on_result: Callable[[int], None] | None = None,
+        make_tracker: MakeTracker = FaceTracker,
+    ) -> None:
+        self.frames, self.actor, self.make_tracker = list(frames), actor, make_tracker
+        self.parameters = parameters or Parameters()
+        self.on_result = on_result or (lambda index: None)
+        self.results: list[TrackedFrame | None] = [None] * len(self.frames)
+        self.tracker = make_tracker(actor, self.parameters)
+        self._before: list[FaceTracker | None] = [None] * len(self.frames)
+        self._task = BackgroundTask()
+        #: Frames tracked under the current parameters.
+        self.done = 0
+
+    def run(self) -> list[TrackedFrame]:
+        """Track every frame now."""
+        self._task.stop()
+        self._restart(self.parameters)
+        while self.done < len(self.frames):
+            self._advance()
+        return self.results
+
+    def start(self) -> None:
+        """Track every frame in the background."""
+        self._task.start(self._run())
+
+    async def finished(self) -> None:
+        """Wait for the background run; raises its error."""
+        await self._task.finished()
+
+    @property
+    def busy(self) -> bool:
+        return self._task.running
+
+    def close(self) -> None:
+        """Stop the background run."""
+        self._task.stop()
+
+    def change(self, parameters: Parameters, index: int) -> TrackedFrame:
+        """Other parameters: the result of frame ``index`` at once, and all frames again in the background.
+
+        Nothing changes when the preview fails (its error is raised).
+        """
+        with one_blas_thread():
+            result = self.preview(parameters, index)
+        self.results[index] = result
+        self._task.stop()
+        self.parameters = parameters
+        self.start()
+        return result
+
+    def preview(self, parameters: Parameters, index: int) -> TrackedFrame:
+        """Frame ``index`` with other parameters, from where the previous frame left the head.
+
+        Correctives are learned anew from the deformations of the earlier frames when the learning's parameters differ;
+        everything else that earlier frames would do differently waits for the background run.
+        """
+        start = self._before[index]
+        if start is None:
+            return self.make_tracker(self.actor, parameters).track(self.frames[index])
+        tracker = retuned(start, parameters)
+        if parameters.adaptive_pca != self.parameters.adaptive_pca:
+            tracker.model = self._relearned(tracker, parameters, index)
+        return tracker.track(self.frames[index])
+
+    def _relearned(self, tracker: FaceTracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
+        """A model fed with the earlier frames' deformations v2 - v1; at most ``most`` of them, to answer at once."""
+        model = AdaptiveModel(self.actor, tracker.blendshapes.basis, parameters.adaptive_pca)
+        samples = [
+            r for r in self.results[:index] if r is not None and r.tracked and r.sample_state != SampleState.UNTRACKED
+        ]
+        stride = max(1, -(-len(samples) // most))
+        if parameters.adaptive_pca.learn:
+            for result in samples[::stride]:
+                model.learn((result.v2 - result.v1)[self.actor.frontal].ravel())
+        return model
+
+    def _restart(self, parameters: Parameters) -> None:
+        self.parameters, self.done = parameters, 0
+        self.tracker = self.make_tracker(self.actor, parameters)
+
+    def _advance(self) -> None:
+        index = self.done
+        self._before[index] = snapshot(self.tracker)
+        with one_blas_thread():
+            self.results[index] = self.tracker.track(self.frames[index])
+        self.done += 1
+        self.on_result(index)
+
+    async def _run(self) -> None:
+        # A moving slider starts this over and over: wait until it rests before the expensive part.
+        await asyncio.sleep(0.15)
+        self._restart(self.parameters)
+        while self.done < len(self.frames):
+            self._advance()
+            await asyncio.sleep(0.002)
+
+    def model_after(self, index: int) -> AdaptiveModel:
+        """The adaptive model once frame ``index`` was learned (read it, do not let it learn)."""
+        following = index + 1
+        return self._before[following].model if following < self.done else self.tracker.model
+
+    def forget(self) -> None:
+        """Back to the first frame with nothing learned; :meth:`track_up_to` goes on from there."""
+        self._task.stop()
+        self.results = [None] * len(self.frames)
+        self._restart(self.parameters)
+
+    def track_up_to(self, index: int) -> None:
+        """Track the frames that are still missing up to ``index``, now."""
+        while self.done <= index:
+            self._advance()
+
+    def series(self, name: str) -> np.ndarray:
+        """(F,) a number of every frame ("anchor_distance", "residual", ...), NaN where there is none yet."""
+        return np.array([np.nan if r is None or not r.tracked else getattr(r, name) for r in self.results], float)

@@ -1,0 +1,199 @@
+"""What every notebook starts with: a short performance in memory and the personal rig of its performer.
+
+``load_session("synthetic")`` renders the embedded performer once and keeps frames and rig in the user's cache folder;
+``load_session("path/to/a/recording")`` takes a recording instead.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from platformdirs import user_cache_dir
+
+from .. import face_model
+from ..actor import Actor
+from ..camera import Camera
+from ..errors import AdaptiveFaceError, FileFormatError
+from ..evaluation import GroundTruth, TruthFrame
+from ..frame import Features2D, RgbdFrame
+from ..npz import Field, load_checked
+from ..parameters import Parameters
+from ..pipeline import FrameReader, capture_from, one_blas_thread
+from ..sensors import open_source
+
+#: Environment variable: fewer frames, for test runs.
+FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
+#: Changes when the synthetic sensor or this file's layout does, so that an old cache is not used.
+CACHE_VERSION = 1
+
+_FIELDS = {
+    "depth": Field(("F", "H", "W"), "u"), "colour": Field(("F", "H", "W", 3), "u"), "pixels": Field(("F", 40, 2)),
+    "confidence": Field(("F", 40)), "intrinsics": Field((4,)), "depth_unit": Field(()),
+    "truth_vertices": Field(("F", "V", 3)),
+    "truth_rigid": Field(("F", 4, 4)), "performance": Field(("F",), "i"), "truth_neutral": Field(("V", 3)),
+}  # fmt: skip
+
+
+def fast() -> bool:
+    """Whether notebooks run in their short form (``ADAPTIVEFACE_NOTEBOOK_FAST=1``)."""
+    return os.environ.get(FAST, "") not in ("", "0")
+
+
+@dataclass
+class Session:
+    """``neutral`` and ``frames``: RGB-D frames with features in memory; ``truth`` of all of them, or None.
+
+    A session is a frame source itself (``camera``, ``name``, ``len``, ``read``): neutral frames first.
+    """
+
+    name: str
+    camera: Camera
+    neutral: list[RgbdFrame]
+    frames: list[RgbdFrame]
+    truth: GroundTruth | None = None
+    has_features: bool = True
+    fps: float = 30.0
+    _actor: Actor | None = field(default=None, repr=False)
+    _actor_file: Path | None = field(default=None, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.neutral) + len(self.frames)
+
+    def read(self, index: int) -> RgbdFrame:
+        return self.neutral[index] if index < len(self.neutral) else self.frames[index - len(self.neutral)]
+
+    @property
+    def actor(self) -> Actor:
+        """The rig captured from the neutral frames (section 3), once; later sessions take it from the cache."""
+        if self._actor is None:
+            if self._actor_file is not None and self._actor_file.exists():
+                self._actor = Actor.load(self._actor_file)
+            else:
+                self._actor = capture_from(self, Parameters(), neutral_frames=len(self.neutral))
+                if self._actor_file is not None:
+                    self._actor.save(self._actor_file)
+        return self._actor
+
+
+def load_session(
+    source: str = "synthetic",
+    neutral_frames: int = 16,
+    frames: int | None = None,
+    first: int = 0,
+    cache: str | os.PathLike | None = None,
+) -> Session:
+    """The performance that the notebooks work on.
+
+    ``source``: "synthetic", "synthetic:SEED[:NOISE]" or a recording folder. ``neutral_frames`` with the face at rest
+    come first and make the rig; then ``frames`` of performance (default 120, or 24 where :func:`fast`), from frame
+    ``first`` of the recording on. ``cache``: folder for synthetic performances (default: the user's cache folder).
+    Raises :class:`AdaptiveFaceError` (or one of its kinds) for a source that cannot be used.
+    """
+    count = frames or (24 if fast() else 120)
+    if source == "synthetic" or source.startswith("synthetic:"):
+        return _synthetic(source, neutral_frames, count, Path(cache) if cache else Path(user_cache_dir("adaptiveface")))
+    return _recorded(source, neutral_frames, count, first)
+
+
+def _recorded(source: str, neutral_frames: int, count: int, first: int) -> Session:
+    opened = open_source(source)
+    reader, found = FrameReader(opened), []
+    for index in range(first, len(opened)):
+        frame = reader.read(index)
+        if frame is not None:
+            found.append(frame)
+        if len(found) == neutral_frames + count:
+            break
+    if len(found) <= neutral_frames:
+        raise AdaptiveFaceError(
+            f"{source}: {len(found)} usable frames; more than the {neutral_frames} neutral ones are needed"
+        )
+    return Session(opened.name, opened.camera, found[:neutral_frames], found[neutral_frames:])
+
+
+def _synthetic(source: str, neutral_frames: int, count: int, cache: Path) -> Session:
+    """Render (or load) one performance: the script is shortened to ``count`` frames, half first time, half repeat."""
+    asset = Path(face_model.__file__).parent / "assets" / "face_model.npz"
+    key = f"{CACHE_VERSION}|{source}|{neutral_frames}|{count}|{hashlib.sha256(asset.read_bytes()).hexdigest()}"
+    stem = cache / f"performance-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    data_file, actor_file = stem.with_suffix(".npz"), stem.with_suffix(".actor.npz")
+    try:
+        data = load_checked(data_file, _FIELDS, max_bytes=2 << 30)
+    except FileFormatError:  # not there yet, or damaged: made anew
+        data = _render(source, neutral_frames, count)
+        cache.mkdir(parents=True, exist_ok=True)
+        part = data_file.with_suffix(f".{os.getpid()}.part")
+        with open(part, "wb") as stream:
+            np.savez(stream, **data)
+        os.replace(part, data_file)
+        actor_file.unlink(missing_ok=True)
+    return _session(source, data, neutral_frames, actor_file)
+
+
+def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarray]:
+    from tqdm.auto import tqdm
+
+    from ..synthetic.sensor import SyntheticSensor
+
+    seed, _, noise = source.partition(":")[2].partition(":")
+    half = max(count // 2, 1)
+    sensor = SyntheticSensor(int(seed or 7), noise or "structured-light", neutral_frames, half, 2)
+    rows: dict[str, list] = {
+        name: [] for name in ("depth", "colour", "pixels", "confidence", "v", "rigid", "performance")
+    }
+    unit = 0.1
+    with one_blas_thread():
+        for index in tqdm(range(len(sensor)), desc="rendering the performance (first time only)", unit="frame"):
+            frame, truth = sensor.read(index), sensor.ground_truth(index)
+            values = (
+                np.round(frame.depth / unit).astype(np.uint16),
+                frame.colour,
+                frame.features.pixels,
+                frame.features.confidence,
+                truth.vertices.astype(np.float32),
+                truth.rigid,
+                truth.performance,
+            )
+            for column, value in zip(rows.values(), values, strict=True):
+                column.append(value)
+    neutral = GroundTruth.of(sensor).neutral if neutral_frames else np.zeros((1, 3))
+    c = sensor.camera
+    return dict(
+        depth=np.stack(rows["depth"]), colour=np.stack(rows["colour"]), confidence=np.stack(rows["confidence"]),
+        # Checked files hold no NaN: hidden features have confidence 0 and any position.
+        pixels=np.nan_to_num(np.stack(rows["pixels"]), nan=-1.0), intrinsics=np.array([c.fx, c.fy, c.cx, c.cy]),
+        depth_unit=np.array(unit), truth_vertices=np.stack(rows["v"]), truth_rigid=np.stack(rows["rigid"]),
+        performance=np.array(rows["performance"], np.int64), truth_neutral=neutral,
+    )  # fmt: skip
+
+
+def _session(source: str, data: dict, neutral_frames: int, actor_file: Path) -> Session:
+    height, width = data["depth"].shape[1:]
+    camera = Camera(width, height, *map(float, data["intrinsics"]))
+    frames = []
+    for i in range(len(data["depth"])):
+        hidden = data["confidence"][i] <= 0
+        pixels = np.where(hidden[:, None], np.nan, data["pixels"][i])
+        depth = data["depth"][i].astype(np.float32) * np.float32(data["depth_unit"])
+        frames.append(
+            RgbdFrame(depth, camera, data["colour"][i], i, i / 30.0, Features2D(pixels, data["confidence"][i]))
+        )
+
+    def truth(index: int) -> TruthFrame:
+        return TruthFrame(
+            data["truth_vertices"][index].astype(float), data["truth_rigid"][index], int(data["performance"][index])
+        )
+
+    known = GroundTruth(data["truth_neutral"], truth, len(frames))
+    return Session(
+        f"synthetic performer ({source})",
+        camera,
+        frames[:neutral_frames],
+        frames[neutral_frames:],
+        known,
+        _actor_file=actor_file,
+    )

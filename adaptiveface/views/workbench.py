@@ -1,0 +1,185 @@
+"""Parameter panel, face view, player and charts put together around one replay of a performance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import ipywidgets as widgets
+import numpy as np
+
+from ..parameters import Parameters
+from ..tracking.tracker import FaceTracker
+from .charts import LiveChart
+from .face_view import FaceView
+from .kernel import on_main_thread
+from .measures import Measures, Pane, model_features
+from .parameter_panel import ParameterPanel
+from .pictures import CameraView
+from .player import Player
+from .replay import MakeTracker, Replay
+from .session import Session
+
+#: A chart and the function that gives its lines: replay -> name -> values per frame.
+ChartSource = Callable[[Replay], dict[str, np.ndarray]]
+
+
+class Workbench:
+    """One stage to see and to move: ``widget`` is what to display, :meth:`close` stops everything it runs.
+
+    ``controls``: stages or parameters for the panel. ``panes``: title -> :data:`Pane`. ``charts``: pairs of a
+    :class:`LiveChart` over frame numbers and its :data:`ChartSource`. A moved slider shows its effect on the frame at
+    once; the other frames follow in the background and the charts grow with them. ``extra``: called with the replay
+    and the number of the frame on show, for further views of the notebook's own.
+    """
+
+    def __init__(
+        self, session: Session, controls: Sequence[str], panes: dict[str, Pane],
+        charts: Sequence[tuple[LiveChart, ChartSource]] = (),
+        *, limits=(0.0, 4.0), label: str = "", parameters: Parameters | None = None, ranges=None, camera: bool = True,
+        make_tracker: MakeTracker = FaceTracker, extra: Callable | None = None, start: int = 0,
+    ) -> None:  # fmt: skip
+        self.session, self.panes, self.charts, self.extra = session, list(panes.values()), list(charts), extra
+        self.replay = Replay(session.frames, session.actor, parameters, self._on_result, make_tracker)
+        self.panel = ParameterPanel(controls, self._change, self.replay.parameters, ranges)
+        side = 300 if len(panes) > 2 else 360
+        self.view = FaceView.of(session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.15 * side)))
+        self.camera = CameraView((260, 300)) if camera else None
+        self.player = Player(len(session.frames), self.show)
+        self.message, self._live = widgets.HTML(), False
+        restart = widgets.Button(
+            description="learn live",
+            icon="circle",
+            layout=widgets.Layout(width="110px"),
+            tooltip="forget everything and track the performance again while it plays",
+        )
+        restart.add_class("adaptiveface-live")
+        restart.on_click(on_main_thread(lambda _: self.learn_live()))
+        self._lay_out(restart)
+        self.replay.run()
+        self._update_charts()
+        self.player.go_to(start) if start else self.show(0)
+
+    def _lay_out(self, restart: widgets.Widget) -> None:
+        row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
+        views = [self.view.widget] + ([self.camera.widget] if self.camera else [])
+        below = [widgets.VBox([self.panel.widget, restart, self.message]), *(chart.widget for chart, _ in self.charts)]
+        self.widget = widgets.VBox(
+            [widgets.HBox(views, layout=row), self.player.widget, widgets.HBox(below, layout=row)]
+        )
+        self.widget.add_class("adaptiveface-workbench")
+
+    def _ipython_display_(self) -> None:
+        from IPython.display import display
+
+        display(self.widget)
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters of the current results."""
+        return self.replay.parameters
+
+    @property
+    def result(self):
+        """The tracked frame that is shown."""
+        return self.replay.results[self.player.index]
+
+    def set(self, **values) -> None:
+        """Move sliders from code: ``set(laplacian__w2=100)``."""
+        self.panel.set(**values)
+
+    def learn_live(self) -> None:
+        """Forget everything, and track and learn every frame when the player comes to it."""
+        self.player.pause()
+        self.replay.forget()
+        self._live = True
+        self.player.go_to(0)
+        self.show(0)
+        self.player.play()
+
+    def show(self, index: int) -> None:
+        """Draw frame ``index`` of the performance."""
+        if self._live:
+            self.replay.track_up_to(index)
+            self._live = self.replay.done < len(self.session.frames)
+        result, frame = self.replay.results[index], self.session.frames[index]
+        if result is None:
+            return
+        self.message.value = "" if result.tracked else f"frame {index}: {result.reason}"
+        for number, pane in enumerate(self.panes):
+            extra = (self.replay.parameters,) if getattr(pane, "needs_parameters", False) else ()
+            self.view.show(number, *pane(result, frame, *extra))
+        self.view.refresh()
+        if self.camera:
+            points = result.vertices[self.session.actor.frontal][::6] if result.tracked else None
+            features = model_features(self.session, result.v4, result.rigid) if result.tracked else None
+            self.camera.show(frame, points, features)
+        if self.extra is not None:
+            self.extra(self.replay, index)
+        self._update_charts()
+
+    def close(self) -> None:
+        """Stop playback and background work, free the renderer, take the widgets away."""
+        self.player.close()
+        self.replay.close()
+        self.view.close()
+        self.widget.close()
+
+    async def settled(self) -> None:
+        """Wait until the background run has tracked every frame; raises its error."""
+        await self.replay.finished()
+
+    def _change(self, parameters: Parameters) -> None:
+        self._live = False
+        self.replay.change(parameters, self.player.index)
+        self.show(self.player.index)
+
+    def _on_result(self, index: int) -> None:
+        """The background run finished a frame: redraw if it is the one on show, and let the charts grow."""
+        if not hasattr(self, "widget") or not self.replay.busy:
+            return
+        last = index == len(self.session.frames) - 1
+        if index % 8 == 0 or last:
+            self._update_charts()
+        if index == self.player.index or (last and self.player.index != index):
+            self.show(self.player.index)
+
+    def _update_charts(self) -> None:
+        for chart, source in self.charts:
+            chart.update(self.player.index, **source(self.replay))
+
+
+class SeriesCache:
+    """A chart source that computes a number per frame and stage once per result."""
+
+    def __init__(self, function: Callable, names: Sequence[str]) -> None:
+        self._function, self._names, self._known = function, tuple(names), {}
+
+    def __call__(self, replay: Replay) -> dict[str, np.ndarray]:
+        out = {name: np.full(len(replay.frames), np.nan) for name in self._names}
+        for index, result in enumerate(replay.results):
+            if result is None or not result.tracked:
+                continue
+            known = self._known.get(index)
+            if known is None or known[0] is not result:
+                known = (result, [self._function(result, replay.frames[index], name) for name in self._names])
+                self._known[index] = known
+            for name, value in zip(self._names, known[1], strict=True):
+                out[name][index] = value
+        return out
+
+
+def error_chart(session: Session, measures: Measures, stages: Sequence[str] = ("v1", "v2", "v4"), top: float = 3.0):
+    """The chart "mean error of each stage over the performance" and its source."""
+    chart = LiveChart(stages, (0, len(session.frames) - 1), (0, top), "frame", "mean error, mm", measures.label)
+    return chart, SeriesCache(lambda result, frame, stage: measures.mean_error(result, frame, stage), stages)
+
+
+def figure_11(session: Session, top: float = 1.5):
+    """The paper's figure 11: distance of v4 from the anchor space and from the adaptive space, and its source."""
+    names = ("to anchor space", "to adaptive space")
+    chart = LiveChart(
+        names, (0, len(session.frames) - 1), (0, top), "frame", "mean distance, mm", "figure 11: distance of v4"
+    )
+    return chart, lambda replay: dict(
+        zip(names, (replay.series("anchor_distance"), replay.series("adaptive_distance")), strict=True)
+    )
