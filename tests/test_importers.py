@@ -478,7 +478,7 @@ def test_component_mixtures_take_the_strongest():
     size = rng.permutation(np.arange(1, 21)).astype(float)
     fields = size[:, None, None] * rng.normal(size=(20, 50, 3))
     weights, names = component_generic(fields, tuple(f"pca{k:03d}" for k in range(20)), np.ones(50, bool))
-    assert len(names) == 24
+    assert len(names) == 22
     chosen = {int(n[3:6]) for n in names}
     assert size[sorted(chosen)].min() > size[sorted(set(range(20)) - chosen)].max()
     assert set(np.unique(weights)) == {-2.0, 0.0, 2.0}

@@ -18,7 +18,7 @@ from .association import associate
 MAX_VERTICES, MAX_TRIANGLES, MAX_BYTES = 200_000, 400_000, 2 << 30
 MIN_VERTICES = 200
 HEAD_WIDTH_MM = (90.0, 400.0)  # of the mean: outside, the unit of length is not what the format says
-PCA_GENERIC = 12  # leading principal components that become generic expressions, each with both signs
+PCA_GENERIC = 11  # strongest components that become generic expressions, each with both signs: 22, and jawOpen makes 23
 PCA_SIGMAS = 2.0
 NEGLIGIBLE_MM = 1e-3
 
