@@ -1,4 +1,4 @@
-"""The command line: ``adaptiveface demo | capture | track | bench``.
+"""The command line: ``adaptiveface demo | capture | track | bench | lab``.
 
 Thin: every command is a few calls of the package. Anything the user can act on ends as one line on stderr and exit
 status 2; Ctrl-C ends with 130 after saving what was done.
@@ -78,6 +78,12 @@ def _parser() -> argparse.ArgumentParser:
     bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
     bench.add_argument("--frames", type=_whole(10, 10_000), metavar="N", help="synthetic frames to time")
     bench.set_defaults(run=run_bench)
+
+    lab = commands.add_parser("lab", help="JupyterLab on a copy of the notebooks, on this machine only")
+    lab.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help="%(default)s")
+    lab.add_argument("--port", type=_whole(1, 65_535), metavar="N", help="default: 8888, or the next free one")
+    lab.add_argument("--no-browser", action="store_true", help="only print the address")
+    lab.set_defaults(run=run_lab)
     return parser
 
 
@@ -182,6 +188,13 @@ def run_demo(args: argparse.Namespace) -> int:
     _report(result, sensor, actor, args.out, evaluation)
     print(f"done in {time.perf_counter() - start:.0f} s")
     return 0
+
+
+def run_lab(args: argparse.Namespace) -> int:
+    """``lab``."""
+    from .lab import open_lab
+
+    return open_lab(args.dir, args.port, not args.no_browser)
 
 
 def run_bench(args: argparse.Namespace) -> int:
