@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,6 +92,14 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
     targets, weights = np.concatenate([targets, shape]), np.column_stack([weights, amount])
     return AnimatedMesh("actor", neutral, result.triangles, tuple(names), targets, weights,
                         increasing(result.timestamps), view_motion(result.rigid))  # fmt: skip
+
+
+def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray, tolerance: float = 0.05) -> AnimatedMesh:
+    """The mesh with displacements (F, V, 3) mm added as further morph targets, within ``tolerance`` mm."""
+    shape, amount = _principal_targets(displacements, tolerance)
+    names = tuple(f"corrective{k:02d}" for k in range(len(shape)))
+    return replace(mesh, target_names=mesh.target_names + names, targets=np.concatenate([mesh.targets, shape]),
+                   weights=np.column_stack([mesh.weights, amount]))  # fmt: skip
 
 
 def _rig(result: Result, actor: Actor):

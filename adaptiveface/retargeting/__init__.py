@@ -1,0 +1,7 @@
+"""Driving other faces with a tracked performance (paper, section 6): characters, ARKit weights, correctives."""
+
+#: Built-in characters, made by ``data_synth/build_characters.py`` from the assets of the embedded face model.
+BUILT_IN = ("baby", "hag", "ogre")
+#: Which coefficients drive the target: those re-solved from the final mesh v4 (section 6), or those of the initial
+#: blendshape fit (section 4.2).
+COEFFICIENTS = ("resolved", "initial")

@@ -13,10 +13,9 @@ import numpy as np
 from ..errors import FileFormatError, ParameterError
 from ..face_model import FaceModel, embedded_face_model
 from ..npz import Field, check_indices, load_checked
+from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
 
-#: Built-in characters, made by ``data_synth/build_characters.py`` from the assets of the embedded face model.
-BUILT_IN = ("baby", "hag", "ogre")
 #: Displacements in character files are whole numbers of this many millimetres.
 STEP_MM = 0.04
 

@@ -8,12 +8,10 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..export.result import Result
+from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .character import Character
 from .smoothing import OneEuro
-
-#: Which coefficients drive the target: those of the initial blendshape fit, or those re-solved from the final mesh v4.
-COEFFICIENTS = ("resolved", "initial")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,39 @@
+"""Options of ``adaptiveface export`` and ``stream``; apart from the work, so that the command line starts fast."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..retargeting import BUILT_IN, COEFFICIENTS
+
+#: format -> what the output's name ends in ("": a folder).
+FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "usd": ".usdc", "mp4": ".mp4", "gif": ".gif"}
+
+
+def add_export_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of ``adaptiveface export``."""
+    command.add_argument("result", type=Path, metavar="result.npz")
+    command.add_argument("--character", default="actor", metavar="NAME",
+                         help=f"actor (the tracked mesh itself), {', '.join(BUILT_IN)}, or a .glb, .vrm, .npz file or "
+                         "folder of OBJ files with ARKit names (default: %(default)s)")  # fmt: skip
+    command.add_argument("--format", choices=tuple(FORMATS), default="glb", help="default: %(default)s")
+    command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
+    command.add_argument("--coefficients", choices=COEFFICIENTS, default="resolved", help="default: %(default)s")
+    command.add_argument("--smooth", action="store_true", help="one-euro filter on the curves")
+    command.add_argument("--correctives", action="store_true",
+                         help="also carry v4 - v1 to a character of the actor's topology")  # fmt: skip
+    command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside the result, if any")
+    command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
+    command.add_argument("--turntable", action="store_true", help="mp4, gif: the camera circles the character")
+
+
+def add_stream_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of ``adaptiveface stream`` besides the source and the parameters."""
+    command.add_argument("--vmc", nargs="?", const="", metavar="HOST:PORT",
+                         help="VMC messages; without a host to this machine only (default: 127.0.0.1:39539)")
+    command.add_argument("--osc", nargs="?", const="", metavar="HOST:PORT",
+                         help="plain OSC messages (default: 127.0.0.1:9000)")  # fmt: skip
+    command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
+    command.add_argument("--smooth", action="store_true", help="one-euro filter on the curves")
+    command.add_argument("--fast", action="store_true", help="do not hold a recording back to its own speed")

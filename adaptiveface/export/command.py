@@ -1,0 +1,193 @@
+"""What ``adaptiveface export``, ``stream`` and ``demo --character`` do; the command line only parses their options."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..actor import Actor
+from ..errors import AdaptiveFaceError, ParameterError
+from ..retargeting.arkit import arkit_weights
+from ..retargeting.character import Character, load_character
+from ..retargeting.correctives import character_correctives
+from ..retargeting.retarget import coverage, retarget
+from ..retargeting.smoothing import OneEuro
+from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
+from .arguments import FORMATS
+from .result import Result
+
+_USD_SUFFIXES = (".usd", ".usda", ".usdc")
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Choices of an export: see ``adaptiveface export --help``."""
+
+    character: str = "actor"
+    coefficients: str = "resolved"
+    smoothing: OneEuro | None = None
+    correctives: bool = False
+
+
+def run_export(args: argparse.Namespace) -> int:
+    """``adaptiveface export``."""
+    out = _output(args)
+    result = Result.load(args.result)
+    actor = _actor(args.actor, args.result.parent, result)
+    options = ExportOptions(args.character, args.coefficients, OneEuro() if args.smooth else None, args.correctives)
+    if args.format == "arkit-csv":
+        from .arkit_csv import write_arkit_csv
+
+        performance = retarget(result, options.coefficients, options.smoothing)
+        if performance.unknown:
+            print(f"no ARKit counterpart: {', '.join(performance.unknown)}")
+        write_arkit_csv(out, performance)
+        print(f"{out}: {len(performance)} frames")
+        return 0
+    if args.format in ("mp4", "gif"):
+        from ..sensors import open_source
+
+        source = open_source(args.source) if args.source else None
+        write_performance_video(out, result, actor, options, source, args.turntable)
+        print(f"{out}: {len(result)} frames")
+        return 0
+    mesh = animated(result, actor, options)
+    _write_mesh(out, mesh, args.format)
+    print(f"{out}: {mesh.name}, {len(mesh)} frames, {len(mesh.target_names)} shapes")
+    return 0
+
+
+def _write_mesh(out: Path, mesh: AnimatedMesh, kind: str) -> None:
+    if kind == "glb":
+        from .gltf import write_glb
+
+        write_glb(out, mesh)
+    elif kind == "usd":
+        from .usd import write_usd
+
+        write_usd(out, mesh)
+    else:
+        from .obj_sequence import write_obj_sequence
+
+        write_obj_sequence(out, mesh)
+
+
+def _output(args: argparse.Namespace) -> Path:
+    suffix = FORMATS[args.format]
+    name = "arkit" if args.format == "arkit-csv" else Path(args.character).stem
+    out = args.out or args.result.with_name(f"{args.result.stem}-{name}{suffix or '-obj'}")
+    allowed = _USD_SUFFIXES if args.format == "usd" else (suffix,)
+    if suffix and out.suffix.lower() not in allowed:
+        raise AdaptiveFaceError(f"{out}: the output's name must end in {' or '.join(allowed)}")
+    if suffix and out.is_dir():
+        raise AdaptiveFaceError(f"{out}: is a folder, the name of a file is expected")
+    if not suffix and out.exists() and not out.is_dir():
+        raise AdaptiveFaceError(f"{out}: a folder is expected")
+    if not out.resolve().parent.is_dir():
+        raise AdaptiveFaceError(f"{out}: the folder {out.resolve().parent} does not exist")
+    return out
+
+
+def _actor(path: Path | None, folder: Path, result: Result) -> Actor | None:
+    if path is not None:
+        return Actor.load(path)
+    beside = folder / "actor.npz"
+    if not beside.is_file():
+        return None
+    actor = Actor.load(beside)
+    return actor if np.array_equal(actor.triangles, result.triangles) else None
+
+
+def animated(result: Result, actor: Actor | None, options: ExportOptions) -> AnimatedMesh:
+    """The animated mesh that the options ask for; says on stdout which shapes will not show."""
+    if options.character == "actor":
+        return actor_animation(result, actor)
+    character = load_character(options.character)
+    for line in coverage(arkit_weights(result.expression_names), character):
+        print(line)
+    return animated_character(result, actor, character, options)
+
+
+def animated_character(
+    result: Result, actor: Actor | None, character: Character, options: ExportOptions
+) -> AnimatedMesh:
+    """A loaded character driven by a result."""
+    mesh = character_animation(character, retarget(result, options.coefficients, options.smoothing))
+    if not options.correctives:
+        return mesh
+    if actor is None:
+        raise ParameterError("--correctives needs the actor's rig: --actor actor.npz")
+    return with_correctives(mesh, character_correctives(result, actor, character, options.coefficients))
+
+
+def write_performance_video(
+    path: Path, result: Result, actor: Actor | None, options: ExportOptions, source=None, turntable: bool = False
+) -> None:
+    """Input (where there is a source), tracked mesh and character side by side."""
+    from ..retargeting.retarget import frame_rate
+    from .video import character_panel, input_panel, side_by_side, tracked_panel, turntable_panel, write_video
+
+    panels, labels = [tracked_panel(result)], ["tracked"]
+    if source is not None:
+        panels, labels = [input_panel(source, result), *panels], ["input", *labels]
+    if options.character != "actor":
+        mesh = animated(result, actor, options)
+        panels.append(turntable_panel(mesh) if turntable else character_panel(mesh))
+        labels.append(mesh.name)
+    write_video(path, side_by_side(panels, labels, len(result)), frame_rate(result.timestamps))
+
+
+def write_demo_character(name: str, result: Result, actor: Actor, source, folder: Path) -> list[Path]:
+    """``demo --character``: NAME.glb with the actor's correctives, and NAME.mp4 beside the report."""
+    from .gltf import write_glb
+
+    character = load_character(name)
+    options = ExportOptions(name, correctives=character.shares_topology(actor.triangles))
+    paths = [folder / f"{character.name}.glb", folder / f"{character.name}.mp4"]
+    write_glb(paths[0], animated_character(result, actor, character, options))
+    write_performance_video(paths[1], result, actor, options, source)
+    return paths
+
+
+def run_stream(source, parameters, args: argparse.Namespace) -> int:
+    """``adaptiveface stream``: track ``source`` and send every frame."""
+    from ..pipeline import capture_from, track_source
+    from .stream import OSC_PORT, VMC_PORT, Address, Pace, Streamer
+
+    vmc = Address.parse(args.vmc, VMC_PORT) if args.vmc is not None else None
+    osc = Address.parse(args.osc, OSC_PORT) if args.osc is not None else None
+    if vmc is None and osc is None:
+        vmc = Address.parse("", VMC_PORT)
+    actor = Actor.load(args.actor) if args.actor else None
+    names = None if actor is None else actor.expression_names[: parameters.blendshapes.A]
+    smoothing = OneEuro() if args.smooth else None
+    streamer = Streamer(names or arkit_names(), vmc, osc, smoothing)  # fails before the capture, not after it
+    if actor is None:
+        actor = capture_from(source, parameters, args.neutral_frames, progress=True)
+        streamer = Streamer(actor.expression_names[: parameters.blendshapes.A], vmc, osc, smoothing)
+    if streamer.unknown:
+        print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
+    for kind, address in (("VMC", vmc), ("OSC", osc)):
+        if address:
+            print(f"{kind} to {address.host}:{address.port}")
+    pace = Pace()
+
+    def on_frame(tracked, frame):
+        if not args.fast:
+            pace.wait(tracked.timestamp)
+        streamer.send(tracked, frame)
+
+    result = track_source(source, actor, parameters, progress=True, on_frame=on_frame)
+    print(result.summary())
+    print(f"{streamer.sent} frames sent")
+    return 0
+
+
+def arkit_names() -> tuple[str, ...]:
+    """The ARKit names, for a streamer whose actor is not known yet."""
+    from ..retargeting.arkit import ARKIT_NAMES
+
+    return ARKIT_NAMES

@@ -1,0 +1,61 @@
+"""Carrying what the coefficients cannot express to the target: transfer of v4 - v1 (paper, section 8, future work).
+
+For a target whose skin has the actor's topology the difference between the final mesh v4 and the blendshapes' v1 is
+carried over by deformation transfer: both are transferred from the actor's neutral to the target's neutral with one
+factorisation, and their difference is added to what the coefficients make of the target. Deformation transfer is
+linear in the deformation gradients, so that the expressions of the target itself stay what they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..actor import Actor
+from ..blendshapes import deformation_transfer
+from ..errors import ParameterError
+from ..export.result import Result
+from ..mesh import transform_points
+from .character import Character
+
+#: Frames transferred at once: bounds the memory of the right-hand sides.
+_CHUNK = 64
+
+
+def transferred_correctives(
+    neutral: np.ndarray, v1: np.ndarray, v4: np.ndarray, target: np.ndarray, triangles: np.ndarray
+) -> np.ndarray:
+    """(F, V, 3) mm to add to the target's frames.
+
+    neutral (V, 3): the actor's; v1, v4 (F, V, 3): blendshapes and final meshes, head frame; target (V, 3): its neutral;
+    triangles (T, 3) of all.
+    """
+    out = np.empty_like(v4, dtype=float)
+    for start in range(0, len(v4), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        both = np.concatenate([v4[part] - neutral, v1[part] - neutral])
+        carried = deformation_transfer(neutral, target, triangles, both)
+        count = len(both) // 2
+        out[part] = carried[:count] - carried[count:]
+    return out
+
+
+def character_correctives(
+    result: Result, actor: Actor, character: Character, coefficients: str = "resolved"
+) -> np.ndarray:
+    """(F, V, 3) mm for all V vertices of a character (zero beyond its skin).
+
+    ``coefficients``: those that drive the character, "resolved" or "initial" (v4 - v1 in the paper's sense). Raises
+    :class:`ParameterError` when the character's skin is not the actor's mesh.
+    """
+    if not character.shares_topology(actor.triangles):
+        raise ParameterError(f"correctives cannot be carried to '{character.name}': its mesh is not the actor's")
+    x = result.coefficients if coefficients == "resolved" else result.coefficients_initial
+    rows = [actor.expression_names.index(name) for name in result.expression_names]
+    basis = actor.blendshapes[rows].reshape(len(rows), -1)
+    v1 = actor.neutral + (x.astype(float) @ basis).reshape(len(x), -1, 3)
+    inverse = np.linalg.inv(result.rigid.astype(float))
+    v4 = np.stack([transform_points(m, v.astype(float)) for m, v in zip(inverse, result.vertices, strict=True)])
+    skin = len(actor.neutral)
+    out = np.zeros((len(x), *character.neutral.shape))
+    out[:, :skin] = transferred_correctives(actor.neutral, v1, v4, character.neutral[:skin], actor.triangles)
+    return out
