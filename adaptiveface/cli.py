@@ -13,6 +13,8 @@ from pathlib import Path
 
 from . import __version__
 from .errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError, ParameterError
+from .export.arguments import add_export_arguments, add_stream_arguments
+from .retargeting import BUILT_IN
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 
@@ -55,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--seed", type=_whole(0, 10**9), default=0, help="which performer (default: %(default)s)")
     demo.add_argument("--noise", default="structured-light", help="structured-light, truedepth or none")
     demo.add_argument("--frames", type=_whole(2, 10_000), default=120, help="frames of one of the two performances")
+    demo.add_argument("--character", metavar="NAME", help=f"also animate {', '.join(BUILT_IN)}, or your own character")
     _add_settings(demo)
     demo.set_defaults(run=run_demo)
 
@@ -74,6 +77,17 @@ def _parser() -> argparse.ArgumentParser:
     track.add_argument("--report", type=Path, metavar="DIR", help="write report.html there")
     _add_settings(track)
     track.set_defaults(run=run_track)
+
+    export = commands.add_parser("export", help="a tracked result as an animated character, curves or a video")
+    add_export_arguments(export)
+    export.set_defaults(run=run_export)
+
+    stream = commands.add_parser("stream", help="track and send blendshapes and head motion while tracking")
+    _add_source(stream)
+    add_stream_arguments(stream)
+    stream.add_argument("--neutral-frames", type=_whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
+    _add_settings(stream)
+    stream.set_defaults(run=run_stream)
 
     bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
     bench.add_argument("--frames", type=_whole(10, 10_000), metavar="N", help="synthetic frames to time")
@@ -171,6 +185,10 @@ def run_demo(args: argparse.Namespace) -> int:
     """``demo``: capture, track and score a synthetic performer, and write actor, result and report to a folder."""
     start = time.perf_counter()
     parameters = _parameters(args.set)
+    if args.character:
+        from .retargeting.character import load_character
+
+        load_character(args.character)  # a wrong name ends here, not after the tracking
     from .evaluation import ErrorCollector
     from .pipeline import capture_from, track_source
     from .synthetic.sensor import SyntheticSensor
@@ -186,6 +204,11 @@ def run_demo(args: argparse.Namespace) -> int:
     print(result.summary())
     print(evaluation.table())
     _report(result, sensor, actor, args.out, evaluation)
+    if args.character:
+        from .export.command import write_demo_character
+
+        for path in write_demo_character(args.character, result, actor, sensor, args.out):
+            print(f"character: {path}")
     print(f"done in {time.perf_counter() - start:.0f} s")
     return 0
 
@@ -195,6 +218,22 @@ def run_lab(args: argparse.Namespace) -> int:
     from .lab import open_lab
 
     return open_lab(args.dir, args.port, not args.no_browser)
+
+
+def run_export(args: argparse.Namespace) -> int:
+    """``export result.npz``."""
+    from .export.command import run_export as run
+
+    return run(args)
+
+
+def run_stream(args: argparse.Namespace) -> int:
+    """``stream SOURCE``: track, and send every frame."""
+    parameters = _parameters(args.set)
+    from .export.command import run_stream as run
+    from .sensors import open_source
+
+    return run(open_source(args.source), parameters, args)
 
 
 def run_bench(args: argparse.Namespace) -> int:
