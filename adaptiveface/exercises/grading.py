@@ -153,13 +153,13 @@ class Exercise:
         with self.swap(function):
             yield
 
-    def track(self, function: Callable, source=None, actor=None, parameters=None, frames: int = 16) -> Trial:
+    def track(self, function: Callable, images=None, actor=None, parameters=None, frames: int = 16) -> Trial:
         """Track ``frames`` frames with ``function`` in place and with the package's own, and compare.
 
-        ``source`` (anything with ``read(i)``) and its ``actor``: a small built-in performance when None.
+        ``images`` (list of :class:`~adaptiveface.frame.RgbdFrame`) of ``actor``: a small built-in performance when None.
         ``parameters``: those of the exercise when None.
         """
-        return run_trial(lambda: self.in_tracker(function), source, actor, parameters or self.parameters, frames)
+        return run_trial(lambda: self.in_tracker(function), images, actor, parameters or self.parameters, frames)
 
     def check(self, function: Callable, **options) -> Report:
         """Grade ``function`` and, if it is right, track with it (``options`` as in :meth:`track`)."""

@@ -112,24 +112,26 @@ def built_in_performance() -> BuiltInPerformance:
     return BuiltInPerformance()
 
 
-def run_trial(in_place: Callable[[], AbstractContextManager], source, actor, parameters, frames: int) -> Trial:
+def run_trial(in_place: Callable[[], AbstractContextManager], images, actor, parameters, frames: int) -> Trial:
     """Track with and without the context ``in_place()``; see :meth:`Exercise.track`."""
-    source = source or built_in_performance()
-    actor = actor or source.actor
-    images = [source.read(index) for index in range(frames)]
+    performance = None
+    if images is None:
+        performance = built_in_performance()
+        images, actor = [performance.read(index) for index in range(frames)], performance.actor
+    images = images[:frames]
     package, package_ms = _run(nullcontext, images, actor, parameters)
     try:
         own, ms = _run(in_place, images, actor, parameters)
     except Exception as error:  # noqa: BLE001 - whatever the learner's code raises belongs into the answer
-        return Trial(frames, 0, np.nan, np.nan, np.nan, np.nan, package_ms, f"{type(error).__name__}: {error}")
+        return Trial(len(images), 0, np.nan, np.nan, np.nan, np.nan, package_ms, f"{type(error).__name__}: {error}")
     region = actor.frontal & actor.depth_valid
     difference = max(
         float(np.linalg.norm(a.vertices - b.vertices, axis=1)[region].max()) for a, b in zip(own, package, strict=True)
     )
     error = package_error = np.nan
-    if hasattr(source, "truth"):
-        error, package_error = (_error(run, source, region) for run in (own, package))
-    return Trial(frames, sum(result.tracked for result in own), error, package_error, difference, ms, package_ms)
+    if performance is not None:
+        error, package_error = (_error(run, performance, region) for run in (own, package))
+    return Trial(len(images), sum(result.tracked for result in own), error, package_error, difference, ms, package_ms)
 
 
 def _run(in_place, images, actor: Actor, parameters) -> tuple[list, float]:
@@ -142,10 +144,14 @@ def _run(in_place, images, actor: Actor, parameters) -> tuple[list, float]:
     return results, (time.perf_counter() - start) * 1e3 / len(images)
 
 
-def _error(results: list, source, region: np.ndarray) -> float:
+def _error(results: list, performance: BuiltInPerformance, region: np.ndarray) -> float:
     return float(
         np.mean(
-            [np.linalg.norm(r.vertices - source.truth(r.index), axis=1)[region].mean() for r in results if r.tracked]
+            [
+                np.linalg.norm(r.vertices - performance.truth(r.index), axis=1)[region].mean()
+                for r in results
+                if r.tracked
+            ]
             or [np.nan]
         )
     )
