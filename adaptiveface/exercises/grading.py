@@ -156,7 +156,7 @@ class Exercise:
     def track(self, function: Callable, images=None, actor=None, parameters=None, frames: int = 16) -> Trial:
         """Track ``frames`` frames with ``function`` in place and with the package's own, and compare.
 
-        ``images`` (list of :class:`~adaptiveface.frame.RgbdFrame`) of ``actor``: a small built-in performance when None.
+        ``images`` (list of :class:`~adaptiveface.frame.RgbdFrame`) of ``actor``: a built-in performance when None.
         ``parameters``: those of the exercise when None.
         """
         return run_trial(lambda: self.in_tracker(function), images, actor, parameters or self.parameters, frames)
