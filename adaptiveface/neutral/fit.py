@@ -124,16 +124,17 @@ def _step(model, identity, pose, used, found, constraints, area, parameters) -> 
     modes = len(identity)
     vertices = transform_points(pose, model.neutral(identity))
     centre = vertices[found.vertices].mean(axis=0)
-    turned = np.einsum("mvi,ji->mvj", model.identity_modes[:used], pose[:3, :3])
     # Point to plane, with Tukey's weights and the vertices' areas (their density must not decide).
     scale = max(3 * 1.4826 * np.median(np.abs(found.distances)), 1.0)
     weight = area[found.vertices] * np.clip(1 - (found.distances / (1.5 * scale)) ** 2, 0, None) ** 2
     weight *= parameters.samples / area[found.vertices].sum() / parameters.scan_sigma**2
     rigid = np.concatenate([np.cross(vertices[found.vertices] - centre, found.normals), found.normals], axis=1)
-    shape = np.einsum("mnj,nj->nm", turned[:, found.vertices], found.normals)
+    # n . (R m) = (R^T n) . m: the normals are turned instead of the modes.
+    back = found.normals @ pose[:3, :3]
+    shape = sum(model.identity_modes[:used, found.vertices, d] * back[:, d] for d in range(3)).T
     rows = np.concatenate([rigid, shape], axis=1)
     lhs, rhs = rows.T @ (rows * weight[:, None]), -rows.T @ (weight * found.distances)
-    _add_features(lhs, rhs, model, vertices, turned, centre, constraints, parameters)
+    _add_features(lhs, rhs, model, vertices, pose[:3, :3], centre, constraints, parameters)
     prior = np.arange(6, 6 + used)
     lhs[prior, prior] += 1.0
     rhs[prior] -= identity[:used]
@@ -147,10 +148,11 @@ def _step(model, identity, pose, used, found, constraints, area, parameters) -> 
     return step, change
 
 
-def _add_features(lhs, rhs, model, vertices, turned, centre, constraints: FeatureConstraints, parameters) -> None:
+def _add_features(lhs, rhs, model, vertices, rotation, centre, constraints: FeatureConstraints, parameters) -> None:
     """Point-to-ray rows of the 2D features, added to the normal equations in place."""
     points = surface_points(vertices, model.feature_triangles, model.feature_weights)
-    shape = np.einsum("fk,mfkj->fjm", model.feature_weights, turned[:, model.feature_triangles])
+    modes = model.identity_modes[: len(lhs) - 6, model.feature_triangles] @ rotation.T
+    shape = np.einsum("fk,mfkj->fjm", model.feature_weights, modes)
     x, y, z = (points - centre).T
     zero = np.zeros_like(x)
     spin = np.stack([np.stack(r, axis=1) for r in ([zero, z, -y], [-z, zero, x], [y, -x, zero])], axis=1)
