@@ -10,7 +10,7 @@ from ..actor import Actor
 from ..errors import FileFormatError
 from ..mesh import transform_points
 from ..retargeting.character import Character
-from ..retargeting.retarget import Performance, frame_rate, increasing
+from ..retargeting.retarget import Performance, frame_rate, head_frames, increasing
 from .result import Result
 
 #: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
@@ -75,8 +75,7 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
     final deformation, which follows the 2D features and lies in no basis). Without the rig: the mean of all frames and
     principal components alone. Raises :class:`FileFormatError` when actor and result do not belong together.
     """
-    inverse = np.linalg.inv(result.rigid.astype(float))
-    shapes = np.stack([transform_points(m, v.astype(float)) for m, v in zip(inverse, result.vertices, strict=True)])
+    shapes = head_frames(result)
     names, targets, weights = [], np.zeros((0, shapes.shape[1], 3)), np.zeros((len(shapes), 0))
     neutral = shapes.mean(axis=0)
     if actor is not None:

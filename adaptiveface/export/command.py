@@ -41,7 +41,7 @@ def run_export(args: argparse.Namespace) -> int:
     if args.format == "arkit-csv":
         from .arkit_csv import write_arkit_csv
 
-        performance = retarget(result, options.coefficients, options.smoothing)
+        performance = retarget(result, options.coefficients, options.smoothing, actor)
         if performance.unknown:
             print(f"no ARKit counterpart: {', '.join(performance.unknown)}")
         write_arkit_csv(out, performance)
@@ -115,7 +115,7 @@ def animated_character(
     result: Result, actor: Actor | None, character: Character, options: ExportOptions
 ) -> AnimatedMesh:
     """A loaded character driven by a result."""
-    mesh = character_animation(character, retarget(result, options.coefficients, options.smoothing))
+    mesh = character_animation(character, retarget(result, options.coefficients, options.smoothing, actor))
     if not options.correctives:
         return mesh
     if actor is None:
@@ -128,6 +128,9 @@ def write_performance_video(
 ) -> None:
     """Input (where there is a source), tracked mesh and character side by side."""
     from ..retargeting.retarget import frame_rate
+
+    if source is not None and len(source) != len(result):
+        raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
     from .video import character_panel, input_panel, side_by_side, tracked_panel, turntable_panel, write_video
 
     panels, labels = [tracked_panel(result)], ["tracked"]
@@ -155,19 +158,16 @@ def write_demo_character(name: str, result: Result, actor: Actor, source, folder
 def run_stream(source, parameters, args: argparse.Namespace) -> int:
     """``adaptiveface stream``: track ``source`` and send every frame."""
     from ..pipeline import capture_from, track_source
-    from .stream import OSC_PORT, VMC_PORT, Address, Pace, Streamer
+    from .stream import OSC_PORT, VMC_PORT, Address, Pace, Streamer, check_streaming
 
     vmc = Address.parse(args.vmc, VMC_PORT) if args.vmc is not None else None
     osc = Address.parse(args.osc, OSC_PORT) if args.osc is not None else None
     if vmc is None and osc is None:
         vmc = Address.parse("", VMC_PORT)
     actor = Actor.load(args.actor) if args.actor else None
-    names = None if actor is None else actor.expression_names[: parameters.blendshapes.A]
-    smoothing = OneEuro() if args.smooth else None
-    streamer = Streamer(names or arkit_names(), vmc, osc, smoothing)  # fails before the capture, not after it
-    if actor is None:
-        actor = capture_from(source, parameters, args.neutral_frames, progress=True)
-        streamer = Streamer(actor.expression_names[: parameters.blendshapes.A], vmc, osc, smoothing)
+    check_streaming()  # fails before the capture, not after it
+    actor = actor or capture_from(source, parameters, args.neutral_frames, progress=True)
+    streamer = Streamer(actor, parameters.blendshapes.A, vmc, osc, OneEuro() if args.smooth else None)
     if streamer.unknown:
         print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
     for kind, address in (("VMC", vmc), ("OSC", osc)):
@@ -184,10 +184,3 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
     print(result.summary())
     print(f"{streamer.sent} frames sent")
     return 0
-
-
-def arkit_names() -> tuple[str, ...]:
-    """The ARKit names, for a streamer whose actor is not known yet."""
-    from ..retargeting.arkit import ARKIT_NAMES
-
-    return ARKIT_NAMES

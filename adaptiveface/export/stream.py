@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..actor import Actor
 from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
 from ..retargeting.arkit import ARKIT_NAMES, arkit_weights
+from ..retargeting.resolve import SparseResolve
 from ..retargeting.smoothing import OneEuro
 from ..tracking.types import TrackedFrame
 from .animation import view_motion
@@ -43,7 +44,9 @@ def _bracketed(text: str) -> tuple[str, str, str]:
 
 
 class Streamer:
-    """Sends every tracked frame to VMC and OSC receivers. ``smoothing`` filters the coefficients on the way.
+    """Sends every tracked frame to VMC and OSC receivers: the coefficients re-solved from v4, and the head's motion.
+
+    actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves.
 
     VMC (https://protocol.vmc.info): ``/VMC/Ext/OK``, ``/VMC/Ext/T``, ``/VMC/Ext/Bone/Pos Head``, one
     ``/VMC/Ext/Blend/Val`` for each ARKit shape ("perfect sync" names, capital first letter), ``/VMC/Ext/Blend/Apply``;
@@ -52,10 +55,11 @@ class Streamer:
     """
 
     def __init__(
-        self, expression_names: Sequence[str], vmc: Address | None = None, osc: Address | None = None,
+        self, actor: Actor, count: int | None = None, vmc: Address | None = None, osc: Address | None = None,
         smoothing: OneEuro | None = None,
     ) -> None:
-        self._weights = arkit_weights(expression_names)
+        names = actor.expression_names[:count]
+        self._weights, self._resolve = arkit_weights(names), SparseResolve(actor, names)
         self.unknown = self._weights.unknown
         self._smoothing, self._state, self._before = smoothing, None, None
         self._start: np.ndarray | None = None
@@ -89,7 +93,8 @@ class Streamer:
         self.sent += 1
 
     def _curves(self, frame: TrackedFrame) -> np.ndarray:
-        curves = self._weights.curves(frame.coefficients[None])[0]
+        coefficients = self._resolve(frame.v4, frame.coefficients)
+        curves = self._weights.curves(coefficients[None])[0]
         if self._smoothing is not None:
             dt = 1 / 30 if self._before is None else frame.timestamp - self._before
             curves, self._state = self._smoothing.step(curves, dt, self._state)
@@ -97,13 +102,20 @@ class Streamer:
         return np.clip(curves, 0, 1)
 
 
+def check_streaming() -> None:
+    """Raise :class:`MissingExtraError` where python-osc is not installed."""
+    try:
+        import pythonosc  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("streaming needs python-osc: python -m pip install 'adaptiveface[osc]'") from None
+
+
 def _client(address: Address | None):
     if address is None:
         return None
-    try:
-        from pythonosc.udp_client import SimpleUDPClient
-    except ImportError:
-        raise MissingExtraError("streaming needs python-osc: python -m pip install 'adaptiveface[osc]'") from None
+    check_streaming()
+    from pythonosc.udp_client import SimpleUDPClient
+
     try:
         return SimpleUDPClient(address.host, address.port)
     except OSError as error:

@@ -14,8 +14,8 @@ from ..actor import Actor
 from ..blendshapes import deformation_transfer
 from ..errors import ParameterError
 from ..export.result import Result
-from ..mesh import transform_points
 from .character import Character
+from .retarget import driving_coefficients, head_frames
 
 #: Frames transferred at once: bounds the memory of the right-hand sides.
 _CHUNK = 64
@@ -49,13 +49,12 @@ def character_correctives(
     """
     if not character.shares_topology(actor.triangles):
         raise ParameterError(f"correctives cannot be carried to '{character.name}': its mesh is not the actor's")
-    x = result.coefficients if coefficients == "resolved" else result.coefficients_initial
+    x = driving_coefficients(result, coefficients, actor)
     rows = [actor.expression_names.index(name) for name in result.expression_names]
     basis = actor.blendshapes[rows].reshape(len(rows), -1)
-    v1 = actor.neutral + (x.astype(float) @ basis).reshape(len(x), -1, 3)
-    inverse = np.linalg.inv(result.rigid.astype(float))
-    v4 = np.stack([transform_points(m, v.astype(float)) for m, v in zip(inverse, result.vertices, strict=True)])
+    v1 = actor.neutral + (x @ basis).reshape(len(x), -1, 3)
     skin = len(actor.neutral)
     out = np.zeros((len(x), *character.neutral.shape))
-    out[:, :skin] = transferred_correctives(actor.neutral, v1, v4, character.neutral[:skin], actor.triangles)
+    target, v4 = character.neutral[:skin], head_frames(result)
+    out[:, :skin] = transferred_correctives(actor.neutral, v1, v4, target, actor.triangles)
     return out

@@ -6,11 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..actor import Actor
 from ..errors import ParameterError
 from ..export.result import Result
+from ..mesh import transform_points
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .character import Character
+from .resolve import SparseResolve
 from .smoothing import OneEuro
 
 
@@ -49,15 +52,33 @@ def frame_rate(timestamps: np.ndarray) -> float:
     return float(1.0 / np.median(steps)) if len(steps) else 30.0
 
 
-def retarget(result: Result, coefficients: str = "resolved", smoothing: OneEuro | None = None) -> Performance:
-    """The performance of a tracked result.
+def driving_coefficients(result: Result, coefficients: str = "resolved", actor: Actor | None = None) -> np.ndarray:
+    """(F, A) coefficients that drive the target.
 
-    ``coefficients``: "resolved" (section 6: the bounded fit of the actor's blendshapes to the final mesh v4) or
-    "initial" (section 4.2, what the paper compares with in figure 8). Raises :class:`ParameterError`.
+    "resolved": section 6, from the final mesh v4; with the actor's rig by :class:`SparseResolve`, without it those that
+    the tracker left in the result. "initial": section 4.2, what the paper compares with in figure 8.
     """
     if coefficients not in COEFFICIENTS:
         raise ParameterError(f"coefficients = {coefficients!r}: one of {', '.join(COEFFICIENTS)} is expected")
-    values = result.coefficients if coefficients == "resolved" else result.coefficients_initial
+    if coefficients == "initial":
+        return result.coefficients_initial.astype(float)
+    if actor is None:
+        return result.coefficients.astype(float)
+    resolve = SparseResolve(actor, result.expression_names)
+    return np.stack([resolve(v4, x) for v4, x in zip(head_frames(result), result.coefficients, strict=True)])
+
+
+def head_frames(result: Result) -> np.ndarray:
+    """(F, N, 3) mm: the final meshes v4 in the head frame."""
+    inverse = np.linalg.inv(result.rigid.astype(float))
+    return np.stack([transform_points(m, v.astype(float)) for m, v in zip(inverse, result.vertices, strict=True)])
+
+
+def retarget(
+    result: Result, coefficients: str = "resolved", smoothing: OneEuro | None = None, actor: Actor | None = None
+) -> Performance:
+    """The performance of a tracked result, from :func:`driving_coefficients`. Raises :class:`ParameterError`."""
+    values = driving_coefficients(result, coefficients, actor)
     table = arkit_weights(result.expression_names)
     performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float),
                               table.unknown)  # fmt: skip

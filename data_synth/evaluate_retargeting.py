@@ -1,0 +1,148 @@
+"""Measure retargeting against truth on synthetic performers, and print one table per question.
+
+    python data_synth/evaluate_retargeting.py --seeds 1000 1001 1002 1003 1004 --frames 120
+
+1. Coefficients: performers who perform known coefficients of the 23 generic expressions; how far are the initial ones
+   (section 4.2) and the re-solved ones (section 6) from them?
+2. Correctives: a performer A and a performer B with the same way of moving (personal units, folds, interactions) on
+   another head. A is tracked, B's true frames are known: how far from them is B driven by A's coefficients alone, and
+   with the transfer of v4 - v1?
+3. Smoothing: jitter on a still face, and lag on a step.
+
+Seeds 0 to 99 are for development; report on seeds from 1000 on.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from adaptiveface.blendshapes import deformation_transfer
+from adaptiveface.face_model import embedded_face_model
+from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
+from adaptiveface.retargeting.correctives import transferred_correctives
+from adaptiveface.retargeting.retarget import driving_coefficients, head_frames
+from adaptiveface.retargeting.smoothing import OneEuro, jitter, step_lag
+from adaptiveface.synthetic.performer import Performer
+from adaptiveface.synthetic.sensor import SyntheticSensor
+
+
+class SameStyle(Performer):
+    """The performer of ``seed`` on another head: same personal motion, other identity coefficients."""
+
+    def __init__(self, seed: int, identity: np.ndarray) -> None:
+        self._other = identity
+        super().__init__(seed)
+
+    def _draw_skin(self, rng, detail, variation) -> None:
+        self.identity = self._other
+        super()._draw_skin(rng, detail, variation)
+
+
+def known_coefficients(sensor: SyntheticSensor) -> np.ndarray:
+    """(F, 23) what the sensor's script amounts to; the script is replaced by exactly that."""
+    model = sensor.performer.model
+    table = arkit_weights(model.generic_names, model)
+    columns = [ARKIT_NAMES.index(name) for name in model.expression_names]
+    curves = np.zeros((len(sensor.script), len(ARKIT_NAMES)))
+    curves[:, columns] = sensor.script
+    x = table.coefficients(curves)
+    sensor.script = x @ model.generic_weights
+    return x
+
+
+def performances(seed: int, frames: int, noise: str):
+    """The performer's own performance and one of known coefficients, with one captured actor: (sensor, result) each."""
+    sensor = SyntheticSensor(seed, noise, neutral_frames=24, frames=frames, repeats=1, colour=False)
+    actor = capture_from(sensor, None, 24)
+    known = SyntheticSensor(seed, noise, neutral_frames=24, frames=frames, repeats=1, colour=False,
+                            performer=sensor.performer)  # fmt: skip
+    truth = known_coefficients(known)
+    return actor, (sensor, track_source(sensor, actor)), (known, track_source(known, actor)), truth
+
+
+def coefficient_errors(sensor, truth, result, actor) -> dict[str, float]:
+    """Root mean square error over the performance: initial, re-solved by the plain fit, re-solved sparsely."""
+    part = slice(sensor.neutral_frames, None)
+    solved = {"initial": result.coefficients_initial, "plain fit to v4": result.coefficients,
+              "re-solved": driving_coefficients(result, "resolved", actor)}  # fmt: skip
+    return {name: float(np.sqrt(np.mean((x[part] - truth) ** 2))) for name, x in solved.items()}
+
+
+def transfer_errors(sensor, actor, result, step: int = 3) -> dict[str, tuple[float, float]]:
+    """Active share and rms error (mm) on B: coefficients alone, with transferred v4 - v1, and with A's true frames.
+
+    The active share is the error over the vertices that truly move by more than 2 mm, as a share of their motion.
+    """
+    model, a = sensor.performer.model, sensor.performer
+    other = np.clip(np.random.default_rng([sensor.seed, 7]).normal(0, 0.9, len(a.identity)), -2.2, 2.2)
+    b = SameStyle(sensor.seed, other)
+    frames = np.arange(0, sensor.frames, step)
+    truth = np.stack([b.shape(sensor.script[f]) for f in frames])
+    blendshapes = deformation_transfer(model.mean, b.neutral, model.triangles, model.generic_expressions)
+    rows = sensor.neutral_frames + frames
+    x = driving_coefficients(result, "resolved", actor)[rows]
+    coefficients = b.neutral + np.tensordot(x, blendshapes, axes=1)
+    v1 = actor.neutral + np.tensordot(x, actor.blendshapes, axes=1)
+    v4 = head_frames(result)[rows]
+    out = {"coefficients alone": coefficients}
+    added = transferred_correctives(actor.neutral, v1, v4, b.neutral, model.triangles)
+    out["with tracked v4 - v1"] = coefficients + added
+    true = np.stack([a.shape(sensor.script[f]) for f in frames])
+    exact = a.neutral + np.tensordot(x, deformation_transfer(model.mean, a.neutral, model.triangles,
+                                                             model.generic_expressions), axes=1)  # fmt: skip
+    added = transferred_correctives(a.neutral, exact, true, b.neutral, model.triangles)
+    out["with A's true frames"] = coefficients + added
+    front = actor.frontal
+    motion = np.linalg.norm(truth - b.neutral, axis=2)[:, front]
+    active = motion > 2.0
+    table = {}
+    for name, shapes in out.items():
+        error = np.linalg.norm(shapes - truth, axis=2)[:, front]
+        table[name] = float(error[active].sum() / motion[active].sum()), float(np.sqrt(np.mean(error**2)))
+    return table
+
+
+def smoothing_rows(sensor, result, actor) -> list[tuple[str, float, float]]:
+    """Filter, jitter of the coefficients in the neutral frames, lag of a step in ms."""
+    still = driving_coefficients(result, "resolved", actor)[2 : sensor.neutral_frames]
+    times = np.arange(len(still)) / sensor.fps
+    rows = [("none", jitter(still), 0.0)]
+    for cutoff, beta in ((2.0, 3.0), (1.0, 1.0), (1.0, 5.0)):
+        euro = OneEuro(cutoff, beta)
+        rows.append((f"one-euro {cutoff:g} Hz, beta {beta:g}", jitter(euro.apply(still, times)), step_lag(euro.apply)))
+    return rows
+
+
+def _joined(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4f}" for name, value in values.items())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1000, 1001, 1002, 1003, 1004])
+    parser.add_argument("--frames", type=int, default=120)
+    parser.add_argument("--noise", default="structured-light")
+    arguments = parser.parse_args()
+    embedded_face_model()
+    errors, shares, smooth = [], [], []
+    for seed in arguments.seeds:
+        actor, (sensor, result), (known, known_result), truth = performances(seed, arguments.frames, arguments.noise)
+        errors.append(coefficient_errors(known, truth, known_result, actor))
+        shares.append(transfer_errors(sensor, actor, result))
+        smooth.append(smoothing_rows(sensor, result, actor))
+        print(f"performer {seed}: coefficients, rms error: {_joined(errors[-1])}", flush=True)
+        print(f"performer {seed}: target, active share: {_joined({k: v[0] for k, v in shares[-1].items()})}", flush=True)
+    for name in errors[0]:
+        print(f"coefficients, {name}: rms error {np.mean([row[name] for row in errors]):.4f}")
+    for name in shares[0]:
+        share, rms = np.mean([table[name] for table in shares], axis=0)
+        print(f"target, {name}: active share {share:.3f}, rms {rms:.2f} mm")
+    for k, (name, _, lag) in enumerate(smooth[0]):
+        print(f"smoothing {name}: jitter {np.mean([rows[k][1] for rows in smooth]):.5f}, lag {lag:.0f} ms")
+
+
+if __name__ == "__main__":
+    main()
