@@ -1,0 +1,1 @@
+"""What becomes of a tracked performance: result files, animated characters, curves, video, streams."""

@@ -1,0 +1,173 @@
+"""Pages made from the package at build time: the parameters' table, one API page per module, the notebooks.
+
+A Sphinx extension too: it turns the plain-text docstrings into valid reStructuredText.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+import re
+import shutil
+from pathlib import Path
+
+import adaptiveface
+from adaptiveface import parameters
+
+NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+
+
+def write_pages(docs: Path) -> None:
+    """Write every generated page below ``docs/_generated``; unchanged files keep their time: quick rebuilds."""
+    pages = docs / "_generated"
+    wanted = {pages / "parameters.md": parameters_page(), pages / "api" / "index.md": api_index()}
+    wanted |= {pages / "api" / f"{name}.md": module_page(name) for name in public_modules()}
+    for path in _notebooks():
+        wanted[pages / "notebooks" / path.relative_to(NOTEBOOKS)] = path.read_text(encoding="utf-8")
+    wanted[pages / "notebooks" / "index.md"] = notebooks_index(docs)
+    for old in set(pages.rglob("*.*")) - set(wanted):
+        old.unlink()
+    for path, text in wanted.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+    for picture in (docs / "pictures").glob("notebook_*.png"):
+        shutil.copy(picture, pages / "notebooks")
+
+
+# ---- parameters -----------------------------------------------------------------------------------------------------
+def parameters_page() -> str:
+    """The table of :func:`adaptiveface.parameters.describe`, one section per stage."""
+    lines = [
+        "# Parameters", "",
+        "Generated from `adaptiveface.parameters`, where every parameter is defined once: the same fields make the",
+        "command line's `--set stage.name=value`, the sliders of the notebooks and this table. The paper's value is",
+        "given where the default differs; `Parameters.paper()` uses them all.", "",
+    ]  # fmt: skip
+    stage = None
+    for row in parameters.describe():
+        if row["stage"] != stage:
+            stage = row["stage"]
+            kind = type(getattr(parameters.Parameters(), stage))
+            lines += ["", f"## {stage}", "", (kind.__doc__ or "").strip(), ""]
+            lines += ["| name | default | paper | range | unit | section | meaning |", "|---|---|---|---|---|---|---|"]
+        lines.append("| " + " | ".join(_cells(row)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cells(row: dict) -> list[str]:
+    bounds = ", ".join(row["choices"]) or ("" if row["low"] is None else f"{row['low']:g} to {row['high']:g}")
+    if isinstance(row["default"], bool):
+        bounds = "true, false"
+    if row["log"]:
+        bounds += " (log)"
+    paper = "" if row["paper"] is None else _value(row["paper"])
+    unit, meaning = (str(row[key]).replace("|", r"\|") for key in ("unit", "doc"))
+    return [f"`{row['name']}`", _value(row["default"]), paper, bounds, unit, row["section"], meaning]
+
+
+def _value(value) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+# ---- reference ------------------------------------------------------------------------------------------------------
+def public_modules() -> list[str]:
+    """Every importable module of the package without a leading underscore in its path."""
+    found = pkgutil.walk_packages(adaptiveface.__path__, "adaptiveface.", onerror=lambda name: None)
+    names = [entry.name for entry in found if not any(part.startswith("_") for part in entry.name.split("."))]
+    return sorted(["adaptiveface", *names])
+
+
+def module_page(name: str) -> str:
+    """The page of one module."""
+    directive = f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n   :show-inheritance:\n"
+    return f"# {name}\n\n```{{eval-rst}}\n{directive}```\n"
+
+
+def api_index() -> str:
+    """The list of modules, grouped by package."""
+    groups: dict[str, list[str]] = {}
+    for name in public_modules():
+        parts = name.split(".")
+        packaged = len(parts) > 2 or any(other.startswith(name + ".") for other in public_modules()) and len(parts) > 1
+        groups.setdefault(parts[1] if packaged else "adaptiveface", []).append(name)
+    lines = ["# Reference", "", "From the docstrings. Shapes, units and sources in the paper are given there.", ""]
+    for group, names in groups.items():
+        lines += [f"```{{toctree}}\n:caption: {group}\n:maxdepth: 1\n", *names, "```", ""]
+    return "\n".join(lines)
+
+
+# ---- notebooks ------------------------------------------------------------------------------------------------------
+def _notebooks() -> list[Path]:
+    return sorted(p for p in NOTEBOOKS.rglob("*.ipynb") if ".ipynb_checkpoints" not in p.parts)
+
+
+def notebooks_index(docs: Path) -> str:
+    """All notebooks with their pictures, and the solutions."""
+    names = [path.relative_to(NOTEBOOKS).with_suffix("").as_posix() for path in _notebooks()]
+    lines = [
+        "# Notebooks", "",
+        "`adaptiveface lab` opens them in JupyterLab, where everything moves. Here they are to be read.", "",
+    ]  # fmt: skip
+    for title, chosen in (
+        ("Stage by stage", [name for name in names if "/" not in name]),
+        ("Solutions of the exercises", [name for name in names if "/" in name]),
+    ):
+        lines += [f"## {title}", "", "```{toctree}", ":maxdepth: 1", "", *chosen, "```", ""]
+        for name in chosen:
+            picture = docs / "pictures" / f"notebook_{name[:2]}.png"
+            if "/" not in name and picture.exists():
+                lines += [f"![Notebook {name[:2]} in JupyterLab]({picture.name})", ""]
+    return "\n".join(lines)
+
+
+# ---- docstrings -----------------------------------------------------------------------------------------------------
+LITERAL = re.compile(r"(``.+?``|:\w+:`[^`]+`)")
+
+
+def plain_to_rst(app, what, name, obj, options, lines: list[str]) -> None:
+    """Docstrings are plain text with ``literals``: formulas keep their stars and bars, indented blocks their layout."""
+    out: list[str] = []
+    block = False
+    for line in lines:
+        indent = len(line) - len(line.lstrip())
+        bullet = line.lstrip().startswith(("* ", "- "))
+        after_blank = bool(out) and not out[-1].strip()
+        if block and line.strip() and indent < 4:
+            block = False
+        if not block and indent >= 4 and after_blank:
+            block = True
+            announced = next((text for text in reversed(out) if text.strip()), "").rstrip().endswith("::")
+            out += [] if announced else ["::", ""]
+        if block:
+            out.append(line)
+            continue
+        if indent and not bullet and not after_blank and not _hangs(out):
+            line = line.lstrip()
+        out.append(_escaped(line, bullet))
+    lines[:] = out
+
+
+def _hangs(out: list[str]) -> bool:
+    """Whether a line continues a bullet above it."""
+    for line in reversed(out):
+        if line.lstrip().startswith(("* ", "- ")):
+            return True
+        if not line.startswith(" "):
+            return False
+    return False
+
+
+def _escaped(line: str, bullet: bool) -> str:
+    head = line[: len(line) - len(line.lstrip()) + 2] if bullet else ""
+    parts = LITERAL.split(line[len(head) :])
+    parts[::2] = [re.sub(r"(\w)_(?!\w)", r"\1\\_", re.sub(r"([*|])", r"\\\1", part)) for part in parts[::2]]
+    for number in range(2, len(parts), 2):  # a literal must not touch the word after it
+        if parts[number][:1].isalnum():
+            parts[number] = "\\ " + parts[number]
+    return head + "".join(parts)
+
+
+def setup(app) -> dict:
+    """Register the docstring conversion."""
+    app.connect("autodoc-process-docstring", plain_to_rst)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,57 @@
+"""Sphinx settings. ``python -m sphinx -W docs docs/_build``; ADAPTIVEFACE_DOCS_EXECUTE=1 runs the notebooks too."""
+
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
+
+import generated  # noqa: E402
+
+from adaptiveface import __version__  # noqa: E402
+
+project = "adaptiveface"
+author = "the adaptiveface developers"
+copyright = author
+release = version = __version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "generated"]
+exclude_patterns = ["_build", "_ext"]
+html_theme = "furo"
+html_title = "adaptiveface"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sphinx = False
+myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_heading_anchors = 3
+
+nb_execution_mode = "force" if os.environ.get("ADAPTIVEFACE_DOCS_EXECUTE") else "off"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+# Notebooks without stored outputs name no output type; widgets have none outside Jupyter.
+suppress_warnings = ["mystnb.unknown_mime_type"]
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+# Optional packages that are not installed: their modules are documented all the same.
+autodoc_mock_imports = [
+    name
+    for name in (
+        "mediapipe",
+        "h5py",
+        "open3d",
+        "igl",
+        "sklearn",
+        "ipywidgets",
+        "pyvista",
+        "IPython",
+        "dask",
+        "distributed",
+    )
+    if importlib.util.find_spec(name) is None
+]
+
+generated.write_pages(HERE)
