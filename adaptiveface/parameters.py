@@ -15,18 +15,24 @@ from typing import Any
 from .errors import ParameterError
 
 
-def parameter(default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None):
+def parameter(
+    default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None
+):
     """A dataclass field with its documentation, range (``low`` to ``high``, ``log`` slider) and the paper's value."""
-    metadata = dict(doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper)
+    metadata = dict(
+        doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper
+    )
     return field(default=default, metadata=metadata)
 
 
 class _Stage:
-    """Checks every field of a stage against its type and range."""
+    """Checks every field of a stage against its type and range. ``stage``: its name in :class:`Parameters`."""
+
+    stage = ""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            object.__setattr__(self, entry.name, _checked(type(self).__name__, entry, getattr(self, entry.name)))
+            object.__setattr__(self, entry.name, _checked(self.stage, entry, getattr(self, entry.name)))
 
 
 def _checked(stage: str, entry: dataclasses.Field, value: Any) -> Any:
@@ -68,50 +74,87 @@ def _parse(name: str, kind: type, text: str) -> Any:
 class DepthParameters(_Stage):
     """Section 4.1: crop and noise reduction of the depth map."""
 
-    crop: int = parameter(0, "side of a fixed face window; 0 takes the box around the last frame's model", unit="px",
-                          section="4.1", low=0, high=4000, paper=200)
+    crop: int = parameter(
+        0,
+        "side of a fixed face window; 0 takes the box around the last frame's model",
+        unit="px",
+        section="4.1",
+        low=0,
+        high=4000,
+        paper=200,
+    )
     margin: float = parameter(25.0, "border added around the model's box", unit="mm", section="4.1", low=0, high=300)
-    smoothing: float = parameter(1.0, "Gaussian that reduces the depth noise", unit="px", low=0.3, high=10)
-    normal_smoothing: float = parameter(2.0, "Gaussian under the depth gradient, from which the normals follow", unit="px",
-                                        low=0.3, high=20)
-    edge: float = parameter(20.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200)
-    min_view: float = parameter(0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9)
+    smoothing: float = parameter(0.6, "Gaussian that reduces the depth noise", unit="px", low=0.3, high=10)
+    normal_smoothing: float = parameter(
+        1.4, "Gaussian under the depth gradient, from which the normals follow", unit="px", low=0.3, high=20
+    )
+    edge: float = parameter(
+        20.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200
+    )
+    min_view: float = parameter(
+        0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9
+    )
 
 
 @dataclass(frozen=True)
 class RigidParameters(_Stage):
     """Section 4.1: rigid ICP, loss and recovery."""
 
-    prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200)
-    outlier: float = parameter(5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True,
-                               paper=1e6)
-    lost: float = parameter(3.0, "mean residual above which the track counts as lost (the paper's stop rule)", unit="mm",
-                            section="4.1", low=0.1, high=50)
-    iterations: int = parameter(8, "most ICP steps; the paper's 3 mm stop rule would end after one", section="4.1",
-                                low=1, high=50)
-    converged: float = parameter(0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0,
-                                 high=10)
+    prune: float = parameter(
+        25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200
+    )
+    outlier: float = parameter(
+        5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
+    )
+    lost: float = parameter(
+        3.0,
+        "mean residual above which the track counts as lost (the paper's stop rule)",
+        unit="mm",
+        section="4.1",
+        low=0.1,
+        high=50,
+    )
+    iterations: int = parameter(
+        8, "most ICP steps; the paper's 3 mm stop rule would end after one", section="4.1", low=1, high=50
+    )
+    converged: float = parameter(
+        0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10
+    )
     min_matches: int = parameter(300, "fewer correspondences than this and the track is lost", low=6, high=100000)
-    stiff: float = parameter(4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000)
-    relocate: float = parameter(6.0, "median reprojection error of the 2D features that asks for re-alignment", unit="px",
-                                section="4.1", low=1, high=100)
+    stiff: float = parameter(
+        4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000
+    )
+    relocate: float = parameter(
+        6.0,
+        "median reprojection error of the 2D features that asks for re-alignment",
+        unit="px",
+        section="4.1",
+        low=1,
+        high=100,
+    )
 
 
 @dataclass(frozen=True)
 class BlendshapeParameters(_Stage):
     """Section 4.2: bounded fit of the initial blendshapes, equations (1) and (2)."""
 
-    A: int = parameter(23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=512)
+    A: int = parameter(
+        23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=512
+    )
     w: float = parameter(5e-5, "weight of the 2D features", unit="1/px^2", section="4.2", low=1e-7, high=1e-1, log=True)
     iterations: int = parameter(3, "rounds of correspondence search and solve", section="4.2", low=1, high=20)
     lower: float = parameter(0.0, "lower bound of a coefficient", section="4.2", low=-1, high=0)
     upper: float = parameter(1.0, "upper bound of a coefficient", section="4.2", low=0.1, high=3)
     prune: float = parameter(15.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
-    outlier: float = parameter(5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True,
-                               paper=1e6)
-    ridge: float = parameter(10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0)
-    temporal: float = parameter(30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5,
-                                log=True, paper=0.0)
+    outlier: float = parameter(
+        5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
+    )
+    ridge: float = parameter(
+        10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
+    )
+    temporal: float = parameter(
+        30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
+    )
     joint_pose: bool = parameter(True, "solve the rigid pose together with the coefficients", paper=False)
 
 
@@ -121,43 +164,94 @@ class KalmanParameters(_Stage):
 
     process_noise: float = parameter(0.05, "process noise", section="4.2", low=1e-6, high=10, log=True)
     measurement_noise: float = parameter(0.02, "measurement noise", section="4.2", low=1e-6, high=10, log=True)
-    model: str = parameter("variance", "how the two noises are read; see tracking/kalman.py", section="4.2",
-                           choices=("variance", "acceleration", "off"))
+    model: str = parameter(
+        "variance",
+        "how the two noises are read; see tracking/kalman.py",
+        section="4.2",
+        choices=("variance", "acceleration", "off"),
+    )
 
 
 @dataclass(frozen=True)
 class LaplacianParameters(_Stage):
     """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7)."""
 
-    w1: float = parameter(0.1, "weight of the depth constraints", unit="1/mm^2", section="4.3", low=1e-6, high=1e3, log=True)
-    w2: float = parameter(1.5, "weight of the Laplacian smoothing", unit="1/mm^2", section="4.3", low=1e-4, high=1e6, log=True,
-                          paper=100.0)
-    feature_weight: float = parameter(0.09, "weight of a 2D feature; the paper's rows amount to f^2, a hard constraint",
-                                      unit="1/mm^2", section="4.3", low=0, high=1e6, log=True, paper=2.8e5)
+    w1: float = parameter(
+        0.1, "weight of the depth constraints", unit="1/mm^2", section="4.3", low=1e-6, high=1e3, log=True
+    )
+    w2: float = parameter(
+        1.5,
+        "weight of the Laplacian smoothing",
+        unit="1/mm^2",
+        section="4.3",
+        low=1e-4,
+        high=1e6,
+        log=True,
+        paper=100.0,
+    )
+    feature_weight: float = parameter(
+        0.09,
+        "weight of a 2D feature; the paper's rows amount to f^2, a hard constraint",
+        unit="1/mm^2",
+        section="4.3",
+        low=0,
+        high=1e6,
+        log=True,
+        paper=2.8e5,
+    )
     steps: int = parameter(1, "preconditioned conjugate-gradient steps of the depth deformation", low=1, high=50)
     prune: float = parameter(10.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
-    final_w2: float = parameter(5.0, "smoothing of the final deformation, which sees the 2D features only", unit="1/mm^2",
-                                section="4.4", low=1e-4, high=1e6, log=True, paper=100.0)
-    final_feature_weight: float = parameter(0.02, "weight of a 2D feature there", unit="1/mm^2", section="4.4", low=0, high=1e6,
-                                            log=True, paper=2.8e5)
+    final_w2: float = parameter(
+        5.0,
+        "smoothing of the final deformation, which sees the 2D features only",
+        unit="1/mm^2",
+        section="4.4",
+        low=1e-4,
+        high=1e6,
+        log=True,
+        paper=100.0,
+    )
+    final_feature_weight: float = parameter(
+        0.02, "weight of a 2D feature there", unit="1/mm^2", section="4.4", low=0, high=1e6, log=True, paper=2.8e5
+    )
 
 
 @dataclass(frozen=True)
 class AdaptivePcaParameters(_Stage):
     """Section 5: anchors, correctives, incremental EM-PCA."""
 
-    K: int = parameter(10, "number of corrective shapes", section="5", low=0, high=100, paper=7)
+    K: int = parameter(16, "number of corrective shapes", section="5", low=0, high=100, paper=7)
     S: int = parameter(200, "samples kept in the buffer", section="5", low=2, high=2000)
-    valid_min: float = parameter(1.0, "samples with a smaller squared norm lie in the anchor space", unit="cm^2 per 3480 vertices",
-                                 section="5", low=0, high=1e4, log=True)
-    valid_max: float = parameter(100.0, "samples with a larger squared norm are outliers", unit="cm^2 per 3480 vertices",
-                                 section="5", low=0, high=1e6, log=True)
+    valid_min: float = parameter(
+        1.0,
+        "samples with a smaller squared norm lie in the anchor space",
+        unit="cm^2 per 3480 vertices",
+        section="5",
+        low=0,
+        high=1e4,
+        log=True,
+    )
+    valid_max: float = parameter(
+        100.0,
+        "samples with a larger squared norm are outliers",
+        unit="cm^2 per 3480 vertices",
+        section="5",
+        low=0,
+        high=1e6,
+        log=True,
+    )
     em_steps: int = parameter(2, "EM iterations for every sample", section="5", low=1, high=50)
-    startup: str = parameter("growing", "when learning starts: with the first sample, or once the buffer is full", section="5",
-                             choices=("growing", "full-buffer"), paper="full-buffer")
+    startup: str = parameter(
+        "growing",
+        "when learning starts: with the first sample, or once the buffer is full",
+        section="5",
+        choices=("growing", "full-buffer"),
+        paper="full-buffer",
+    )
     learn: bool = parameter(True, "learn correctives at all", section="5")
-    min_coverage: float = parameter(0.5, "share of the frontal vertices that must have depth for a frame to be learned",
-                                    low=0, high=1)
+    min_coverage: float = parameter(
+        0.5, "share of the frontal vertices that must have depth for a frame to be learned", low=0, high=1
+    )
 
 
 @dataclass(frozen=True)
@@ -165,24 +259,37 @@ class FusionParameters(_Stage):
     """Section 3: registration of the neutral depth frames and their volumetric integration."""
 
     voxel: float = parameter(2.0, "grid spacing of the volume", unit="mm", section="3", low=0.5, high=10)
-    truncation: float = parameter(5.0, "signed distances saturate at this many voxels", unit="voxels", section="3", low=2,
-                                  high=20)
-    margin: float = parameter(35.0, "the volume reaches this far around the model's frontal region", unit="mm", section="3",
-                              low=5, high=200)
-    passes: int = parameter(2, "passes over the frames: the first grows the model, later ones align to all of it",
-                            section="3", low=1, high=10)
+    truncation: float = parameter(
+        5.0, "signed distances saturate at this many voxels", unit="voxels", section="3", low=2, high=20
+    )
+    margin: float = parameter(
+        35.0, "the volume reaches this far around the model's frontal region", unit="mm", section="3", low=5, high=200
+    )
+    passes: int = parameter(
+        2,
+        "passes over the frames: the first grows the model, later ones align to all of it",
+        section="3",
+        low=1,
+        high=10,
+    )
     iterations: int = parameter(20, "most ICP steps for one frame", section="3", low=1, high=100)
     icp_points: int = parameter(6000, "model points used by ICP", section="3", low=500, high=100000)
     prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="3", low=1, high=200)
-    normal_angle: float = parameter(40.0, "largest angle between the normals of a correspondence", unit="degrees",
-                                    section="3", low=5, high=90)
-    min_cosine: float = parameter(0.25, "depth seen at a smaller cosine of the viewing angle is not used", section="3",
-                                  low=0, high=0.9)
-    max_residual: float = parameter(3.0, "a frame whose median residual is larger is left out", unit="mm", section="3",
-                                    low=0.1, high=20)
-    min_overlap: float = parameter(0.3, "a frame that meets a smaller share of the visible model is left out", section="3",
-                                   low=0, high=1)
-    min_views: float = parameter(2.0, "scan points need this much accumulated view weight", section="3", low=0, high=100)
+    normal_angle: float = parameter(
+        40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
+    )
+    min_cosine: float = parameter(
+        0.25, "depth seen at a smaller cosine of the viewing angle is not used", section="3", low=0, high=0.9
+    )
+    max_residual: float = parameter(
+        3.0, "a frame whose median residual is larger is left out", unit="mm", section="3", low=0.1, high=20
+    )
+    min_overlap: float = parameter(
+        0.3, "a frame that meets a smaller share of the visible model is left out", section="3", low=0, high=1
+    )
+    min_views: float = parameter(
+        2.0, "scan points need this much accumulated view weight", section="3", low=0, high=100
+    )
 
 
 @dataclass(frozen=True)
@@ -191,42 +298,82 @@ class FitParameters(_Stage):
 
     modes: int = parameter(50, "identity modes used, at most those of the model", section="3", low=0, high=500)
     iterations: int = parameter(25, "rounds of correspondence search and solve", section="3", low=1, high=200)
-    scan_sigma: float = parameter(1.0, "expected point-to-plane distance of the model to the scan", unit="mm", section="3",
-                                  low=0.05, high=20, log=True)
-    samples: float = parameter(500.0, "independent observations in the scan: its points are correlated", section="3",
-                               low=10, high=100000, log=True)
-    feature_sigma: float = parameter(1.0, "expected distance of a model feature from its viewing ray", unit="mm",
-                                     section="3", low=0.1, high=50, log=True)
-    reach: float = parameter(20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1,
-                             high=200)
-    normal_angle: float = parameter(45.0, "largest angle between the normals of a correspondence", unit="degrees",
-                                    section="3", low=5, high=90)
+    scan_sigma: float = parameter(
+        1.0,
+        "expected point-to-plane distance of the model to the scan",
+        unit="mm",
+        section="3",
+        low=0.05,
+        high=20,
+        log=True,
+    )
+    samples: float = parameter(
+        500.0,
+        "independent observations in the scan: its points are correlated",
+        section="3",
+        low=10,
+        high=100000,
+        log=True,
+    )
+    feature_sigma: float = parameter(
+        1.0,
+        "expected distance of a model feature from its viewing ray",
+        unit="mm",
+        section="3",
+        low=0.1,
+        high=50,
+        log=True,
+    )
+    reach: float = parameter(
+        20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1, high=200
+    )
+    normal_angle: float = parameter(
+        45.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
+    )
 
 
 @dataclass(frozen=True)
 class ShrinkWrapParameters(_Stage):
     """Section 3: non-rigid ICP for what the identity modes cannot hold (Li et al. 2009)."""
 
-    node_spacing: float = parameter(16.0, "distance between the nodes of the deformation graph", unit="mm", section="3",
-                                    low=3, high=60)
+    node_spacing: float = parameter(
+        16.0, "distance between the nodes of the deformation graph", unit="mm", section="3", low=3, high=60
+    )
     iterations: int = parameter(8, "rounds of correspondence search and graph solve", section="3", low=0, high=200)
-    rigidity_start: float = parameter(100.0, "weight of the rigidity of the nodes at first", section="3", low=0, high=1e6,
-                                      log=True)
-    rigidity_end: float = parameter(0.3, "weight of the rigidity of the nodes at last", section="3", low=0, high=1e6,
-                                    log=True)
-    smoothness: float = parameter(0.1, "smoothness of neighbouring nodes, as a share of the rigidity weight", section="3",
-                                  low=0, high=100, log=True)
-    feature_weight: float = parameter(2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0,
-                                      high=1000)
-    feature_shift: float = parameter(4.0, "a feature may move this far on the surface to where the person's neutral shows it",
-                                     unit="mm", section="3", low=0, high=20)
-    contact_weight: float = parameter(4.0, "lips that touch in the model stay together: weight of a pair", section="3", low=0,
-                                      high=1000)
+    rigidity_start: float = parameter(
+        100.0, "weight of the rigidity of the nodes at first", section="3", low=0, high=1e6, log=True
+    )
+    rigidity_end: float = parameter(
+        0.3, "weight of the rigidity of the nodes at last", section="3", low=0, high=1e6, log=True
+    )
+    smoothness: float = parameter(
+        0.1,
+        "smoothness of neighbouring nodes, as a share of the rigidity weight",
+        section="3",
+        low=0,
+        high=100,
+        log=True,
+    )
+    feature_weight: float = parameter(
+        2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0, high=1000
+    )
+    feature_shift: float = parameter(
+        4.0,
+        "a feature may move this far on the surface to where the person's neutral shows it",
+        unit="mm",
+        section="3",
+        low=0,
+        high=20,
+    )
+    contact_weight: float = parameter(
+        4.0, "lips that touch in the model stay together: weight of a pair", section="3", low=0, high=1000
+    )
     detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)
     detail_smoothness: float = parameter(1.0, "smoothness of the fine step", section="3", low=1e-4, high=1e4, log=True)
     reach: float = parameter(8.0, "correspondences farther away are dropped", unit="mm", section="3", low=0.5, high=100)
-    normal_angle: float = parameter(40.0, "largest angle between the normals of a correspondence", unit="degrees",
-                                    section="3", low=5, high=90)
+    normal_angle: float = parameter(
+        40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
+    )
 
 
 @dataclass(frozen=True)
@@ -267,9 +414,7 @@ class Parameters:
             if name not in known[stage]:
                 raise ParameterError(f"unknown parameter '{key}'; {stage} has: {', '.join(known[stage])}")
             stages.setdefault(stage, {})[name] = value
-        return dataclasses.replace(
-            self, **{s: dataclasses.replace(getattr(self, s), **v) for s, v in stages.items()}
-        )
+        return dataclasses.replace(self, **{s: dataclasses.replace(getattr(self, s), **v) for s, v in stages.items()})
 
     def to_json(self) -> str:
         """JSON of every parameter, by stage."""
@@ -284,6 +429,10 @@ class Parameters:
         except (json.JSONDecodeError, AttributeError) as error:
             raise ParameterError(f"not a JSON object of parameters: {error}") from None
         return cls().set(**flat)
+
+
+for _field in fields(Parameters):
+    _field.default_factory.stage = _field.name
 
 
 def describe() -> list[dict[str, Any]]:

@@ -18,8 +18,16 @@ def exact_actor(identity_seed: int = 0) -> Actor:
     """A rig whose neutral and blendshapes are those that the frames are rendered from."""
     model = embedded_face_model()
     neutral = model.neutral(0.7 * np.random.default_rng(identity_seed).normal(size=20))
-    return Actor(neutral, model.generic_expressions, model.triangles, model.frontal, model.generic_names,
-                 model.feature_triangles, model.feature_weights, model.depth_valid)
+    return Actor(
+        neutral,
+        model.generic_expressions,
+        model.triangles,
+        model.frontal,
+        model.generic_names,
+        model.feature_triangles,
+        model.feature_weights,
+        model.depth_valid,
+    )
 
 
 def head_pose(rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 600.0)) -> np.ndarray:
@@ -30,8 +38,15 @@ def head_pose(rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 600.0)) -> np.nda
     return pose
 
 
-def render_frame(actor: Actor, shape: np.ndarray, pose: np.ndarray, index: int = 0, noise: float = 0.0, pixel_noise: float = 0.0,
-                 camera: Camera = CAMERA) -> RgbdFrame:
+def render_frame(
+    actor: Actor,
+    shape: np.ndarray,
+    pose: np.ndarray,
+    index: int = 0,
+    noise: float = 0.0,
+    pixel_noise: float = 0.0,
+    camera: Camera = CAMERA,
+) -> RgbdFrame:
     """A depth frame (Gaussian noise in mm) with the 40 projected features (noise in px); one seed per index."""
     rng = np.random.default_rng(1000 + index)
     vertices = transform_points(pose, shape)

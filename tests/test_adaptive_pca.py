@@ -139,7 +139,9 @@ def test_a_buffer_of_duplicates_stays_well_conditioned(actor):
     assert np.isfinite(model.correctives).all()
 
 
-@pytest.mark.parametrize("size, state", [(0.5, SampleState.IN_ANCHOR_SPACE), (4.0, SampleState.LEARNED), (150.0, SampleState.OUTLIER)])
+@pytest.mark.parametrize(
+    "size, state", [(0.5, SampleState.IN_ANCHOR_SPACE), (4.0, SampleState.LEARNED), (150.0, SampleState.OUTLIER)]
+)
 def test_thresholds_are_square_centimetres(actor, size, state):
     model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters())
     sample = samples_outside_anchors(model, 1, size=size)[0]

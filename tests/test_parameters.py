@@ -45,7 +45,7 @@ def test_set_takes_text_and_values(key, value):
 def test_wrong_values_are_named(key, value, words):
     with pytest.raises(ParameterError, match=words) as error:
         Parameters().set(**{key: value})
-    assert key.split(".")[-1] in str(error.value) or "nowhere" in str(error.value)
+    assert key in str(error.value) or "nowhere" in str(error.value)
 
 
 def test_json_round_trip():
@@ -58,8 +58,10 @@ def test_json_round_trip():
 
 def test_every_parameter_is_documented_and_its_values_lie_in_range():
     rows = describe()
-    assert len({(row["stage"], row["name"]) for row in rows}) == len(rows) == sum(
-        len(dataclasses.fields(getattr(Parameters(), stage.name))) for stage in dataclasses.fields(Parameters)
+    assert (
+        len({(row["stage"], row["name"]) for row in rows})
+        == len(rows)
+        == sum(len(dataclasses.fields(getattr(Parameters(), stage.name))) for stage in dataclasses.fields(Parameters))
     )
     for row in rows:
         assert row["doc"], row

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import spsolve
-from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
 
 from adaptiveface.mesh import cotangent_laplacian, transform_points, vertex_normals
 from adaptiveface.parameters import BlendshapeParameters, DepthParameters, KalmanParameters, RigidParameters
@@ -25,7 +25,9 @@ def actor():
 
 
 def whole_surface(frame, **changes):
-    return depth_surface(frame.depth, frame.camera, (0, 0, frame.camera.width, frame.camera.height), DepthParameters(**changes))
+    return depth_surface(
+        frame.depth, frame.camera, (0, 0, frame.camera.width, frame.camera.height), DepthParameters(**changes)
+    )
 
 
 def pose_difference(a, b):
@@ -40,7 +42,9 @@ def test_correspondences_of_the_true_mesh_have_no_distance(actor):
     pose = head_pose((0.05, 0.2, 0.0))
     frame = render_frame(actor, actor.neutral, pose)
     points = transform_points(pose, actor.neutral)
-    matches = find_correspondences(whole_surface(frame, smoothing=0.3), points, vertex_normals(points, actor.triangles), 25.0)
+    matches = find_correspondences(
+        whole_surface(frame, smoothing=0.3), points, vertex_normals(points, actor.triangles), 25.0
+    )
     used = (matches.weights > 0) & actor.frontal & actor.depth_valid
     assert used.sum() > 2000
     assert np.median(np.abs(matches.distances[used])) < 0.05
@@ -71,11 +75,17 @@ def test_point_to_plane_step_equals_numpy_least_squares():
     matches = Correspondences(rng.normal(size=200), normals, rng.uniform(size=200) * (rng.uniform(size=200) > 0.3))
     centre, vertex_weights = points.mean(axis=0), rng.uniform(0.5, 1, size=200)
     root = np.sqrt(matches.weights * vertex_weights)
-    expected = np.linalg.lstsq(root[:, None] * rigid_jacobian(points, normals, centre), -root * matches.distances, rcond=None)[0]
-    np.testing.assert_allclose(point_to_plane_step(points, matches, centre, vertex_weights), expected, rtol=1e-5, atol=1e-9)
+    expected = np.linalg.lstsq(
+        root[:, None] * rigid_jacobian(points, normals, centre), -root * matches.distances, rcond=None
+    )[0]
+    np.testing.assert_allclose(
+        point_to_plane_step(points, matches, centre, vertex_weights), expected, rtol=1e-5, atol=1e-9
+    )
 
 
-@pytest.mark.parametrize("turn, shift", [((0, 0, 0), (6, 0, 0)), ((0.03, 0.02, -0.03), (3, -3, 5)), ((0, 0.06, 0), (0, 0, -8))])
+@pytest.mark.parametrize(
+    "turn, shift", [((0, 0, 0), (6, 0, 0)), ((0.03, 0.02, -0.03), (3, -3, 5)), ((0, 0.06, 0), (0, 0, -8))]
+)
 def test_icp_recovers_a_known_motion(actor, turn, shift):
     truth = head_pose(np.array([0.05, 0.15, 0.0]) + turn, np.array([10.0, -5.0, 620.0]) + shift)
     start = head_pose((0.05, 0.15, 0.0), (10.0, -5.0, 620.0))
@@ -94,7 +104,12 @@ def test_icp_reports_no_match_as_infinite_residual(actor):
     used = np.flatnonzero(actor.frontal)
     normals = vertex_normals(actor.neutral, actor.triangles)[used]
     far = head_pose(translation=(0, 0, 900.0))
-    assert RigidTracker(np.ones(len(used)), RigidParameters()).align(whole_surface(frame), actor.neutral[used], normals, far).residual == np.inf
+    assert (
+        RigidTracker(np.ones(len(used)), RigidParameters())
+        .align(whole_surface(frame), actor.neutral[used], normals, far)
+        .residual
+        == np.inf
+    )
 
 
 def test_pose_from_features_with_and_without_depth(actor):
@@ -203,7 +218,9 @@ def dense_reference(actor, w1, w2, matches, normals, term):
             for c in range(3):
                 vertex = actor.feature_triangles[f, c]
                 if actor.frontal[vertex]:
-                    row[index[place[vertex]] : index[place[vertex]] + 3] += actor.feature_weights[f, c] * term.rows[k, r]
+                    row[index[place[vertex]] : index[place[vertex]] + 3] += (
+                        actor.feature_weights[f, c] * term.rows[k, r]
+                    )
             row = sp.csr_matrix(row)
             system = system + term.weights[k, r] * row.T @ row
             right = right + term.weights[k, r] * term.targets[k, r] * row.toarray().ravel()
@@ -229,7 +246,9 @@ def test_laplacian_deformation_converges_to_the_coupled_solution(actor):
     expected = dense_reference(actor, 0.1, 5.0, matches, normals, term)
     got = solver.deform(matches, normals, term, np.zeros_like(normals), steps=60)
     np.testing.assert_allclose(got, expected, atol=1e-6)
-    two = solver.deform(matches, normals, term, expected + 0.05 * np.random.default_rng(1).normal(size=expected.shape), steps=2)
+    two = solver.deform(
+        matches, normals, term, expected + 0.05 * np.random.default_rng(1).normal(size=expected.shape), steps=2
+    )
     assert np.abs(two - expected).mean() < 0.03
 
 

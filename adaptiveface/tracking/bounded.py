@@ -22,8 +22,16 @@ def _projected_relaxation(h, g, lower, upper, x, relaxation, sweeps, tolerance):
     return sweeps
 
 
-def bounded_least_squares(h: np.ndarray, g: np.ndarray, lower: np.ndarray, upper: np.ndarray, start: np.ndarray | None = None,
-                          relaxation: float = 1.3, sweeps: int = 500, tolerance: float = 1e-8) -> np.ndarray:
+def bounded_least_squares(
+    h: np.ndarray,
+    g: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    start: np.ndarray | None = None,
+    relaxation: float = 1.3,
+    sweeps: int = 500,
+    tolerance: float = 1e-8,
+) -> np.ndarray:
     """Minimise x^T H x / 2 - g^T x subject to lower <= x <= upper.
 
     H (A, A) symmetric positive definite, g (A,), bounds (A,), ``start`` (A,) a first guess. Returns x (A,).

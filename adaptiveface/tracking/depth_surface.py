@@ -79,7 +79,9 @@ def depth_surface(depth: np.ndarray, camera: Camera, window, parameters: DepthPa
 
 
 @numba.njit(cache=True)
-def _associate(points, normals, depth, gradient_u, gradient_v, valid, intrinsics, reach, min_cosine, min_view, distance, normal_out):
+def _associate(
+    points, normals, depth, gradient_u, gradient_v, valid, intrinsics, reach, min_cosine, min_view, distance, normal_out
+):
     """Signed point-to-plane distance, plane normal and weight of every camera-frame point; weight 0 = no match."""
     fx, fy, cx, cy, u0, v0 = intrinsics
     h, w = depth.shape
@@ -134,8 +136,9 @@ class Correspondences:
         return float(np.abs(self.distances[matched]).mean()) if matched.any() else float("inf")
 
 
-def find_correspondences(surface: DepthSurface, points: np.ndarray, normals: np.ndarray, reach: float,
-                         max_angle: float = 60.0) -> Correspondences:
+def find_correspondences(
+    surface: DepthSurface, points: np.ndarray, normals: np.ndarray, reach: float, max_angle: float = 60.0
+) -> Correspondences:
     """Match camera-frame points (n, 3) with unit normals (n, 3) to the depth map by projection.
 
     Dropped: no depth or a depth edge at the pixel, depth point farther than ``reach`` mm, normals more than ``max_angle``
@@ -143,6 +146,18 @@ def find_correspondences(surface: DepthSurface, points: np.ndarray, normals: np.
     """
     camera, distance, plane = surface.camera, np.zeros(len(points)), np.zeros((len(points), 3))
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, float(surface.origin[0]), float(surface.origin[1]))
-    weights = _associate(np.ascontiguousarray(points), np.ascontiguousarray(normals), surface.depth, surface.gradient_u,
-                         surface.gradient_v, surface.valid, intrinsics, reach, np.cos(np.radians(max_angle)), surface.min_view, distance, plane)
+    weights = _associate(
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(normals),
+        surface.depth,
+        surface.gradient_u,
+        surface.gradient_v,
+        surface.valid,
+        intrinsics,
+        reach,
+        np.cos(np.radians(max_angle)),
+        surface.min_view,
+        distance,
+        plane,
+    )
     return Correspondences(distance, plane, weights)

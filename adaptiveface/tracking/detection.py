@@ -45,8 +45,9 @@ def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: 
         if np.median(error) < max_error:
             return pose
     seen = frame.features.valid
-    found, turn, shift = cv2.solvePnP(feature_points[seen], frame.features.pixels[seen], frame.camera.matrix, None,
-                                      flags=cv2.SOLVEPNP_SQPNP)
+    found, turn, shift = cv2.solvePnP(
+        feature_points[seen], frame.features.pixels[seen], frame.camera.matrix, None, flags=cv2.SOLVEPNP_SQPNP
+    )
     if not found or not 100.0 < float(shift[2, 0]) < 5000.0:
         return None
     pose = np.eye(4)

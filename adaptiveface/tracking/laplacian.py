@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import cho_factor, cho_solve
@@ -27,23 +28,69 @@ from .feature_rows import FeatureRows
 
 
 class PrefactoredSystem:
-    """A0 = w1 I + w2 L^T L on the frontal vertices, factorised once, three right-hand sides at a time.
+    """A0 = w1 I + w2 L^T L on the frontal vertices, factorised once: A0 = P^T G D G^T P with G unit lower triangular.
 
-    ``laplacian(vertices, triangles)`` gives L (N, N). Raises ValueError when A0 is singular (w1 = 0 and no vertex
+    ``laplacian(vertices, triangles)`` gives L (N, N). Raises RuntimeError when A0 is singular (w1 = 0 and no vertex
     outside the frontal region).
     """
 
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, frontal: np.ndarray, w1: float, w2: float,
-                 laplacian=cotangent_laplacian) -> None:
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        frontal: np.ndarray,
+        w1: float,
+        w2: float,
+        laplacian=cotangent_laplacian,
+    ) -> None:
         rows = laplacian(vertices, triangles)[:, np.flatnonzero(frontal)]
         self.smoothing = (w2 * (rows.T @ rows)).tocsr()
         matrix = (self.smoothing + w1 * sp.identity(rows.shape[1])).tocsc()
         # The matrix is symmetric positive definite: diagonal pivots and a symmetric ordering keep the factor sparse.
-        self._factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        lower = sp.tril(factor.L, -1, format="csc")
+        lower.sort_indices()
+        self._columns = lower.indptr.astype(np.int32), lower.indices.astype(np.int32), lower.data
+        self._inverse_diagonal, self._order = 1.0 / factor.U.diagonal(), factor.perm_r.astype(np.int32)
 
     def solve(self, right_hand_side: np.ndarray) -> np.ndarray:
         """A0^-1 b for b (n, c)."""
-        return self._factor.solve(right_hand_side)
+        solution = np.empty_like(right_hand_side, order="C", dtype=float)
+        for first in range(0, right_hand_side.shape[1], 3):
+            block = np.zeros((len(solution), 3))
+            block[:, : right_hand_side.shape[1] - first] = right_hand_side[:, first : first + 3]
+            solved = _solve_three(*self._columns, self._inverse_diagonal, self._order, block)
+            solution[:, first : first + 3] = solved[:, : right_hand_side.shape[1] - first]
+        return solution
+
+
+@numba.njit(cache=True)
+def _solve_three(starts, rows, values, inverse_diagonal, order, right):
+    """P^T G^-T D^-1 G^-1 P b for b (n, 3): the three coordinates share one pass over the factor (SuperLU makes three)."""
+    n = len(inverse_diagonal)
+    y = np.empty((n, 3))
+    for i in range(n):
+        y[order[i], 0], y[order[i], 1], y[order[i], 2] = right[i, 0], right[i, 1], right[i, 2]
+    for j in range(n):
+        a, b, c = y[j, 0], y[j, 1], y[j, 2]
+        for k in range(starts[j], starts[j + 1]):
+            i, value = rows[k], values[k]
+            y[i, 0] -= value * a
+            y[i, 1] -= value * b
+            y[i, 2] -= value * c
+    for j in range(n - 1, -1, -1):
+        scale = inverse_diagonal[j]
+        a, b, c = y[j, 0] * scale, y[j, 1] * scale, y[j, 2] * scale
+        for k in range(starts[j], starts[j + 1]):
+            i, value = rows[k], values[k]
+            a -= value * y[i, 0]
+            b -= value * y[i, 1]
+            c -= value * y[i, 2]
+        y[j, 0], y[j, 1], y[j, 2] = a, b, c
+    solution = np.empty((n, 3))
+    for i in range(n):
+        solution[i, 0], solution[i, 1], solution[i, 2] = y[order[i], 0], y[order[i], 1], y[order[i], 2]
+    return solution
 
 
 @dataclass(frozen=True)
@@ -59,8 +106,9 @@ class FeatureTerm:
     weights: np.ndarray
 
 
-def feature_term(rows: FeatureRows, points: np.ndarray, pose: np.ndarray, focal: float, weight: float,
-                 hold_depth: bool) -> FeatureTerm:
+def feature_term(
+    rows: FeatureRows, points: np.ndarray, pose: np.ndarray, focal: float, weight: float, hold_depth: bool
+) -> FeatureTerm:
     """Lateral rows of eq. (5) in millimetres, and a third that keeps the depth (weak projection) when ``hold_depth``.
 
     points (f, 3) head frame: where the features are now. Eq. (2)'s rows are divided by the focal length, so that a
@@ -83,8 +131,17 @@ class LaplacianDeformation:
     The features' points are combinations of frontal vertices: ``corners`` (40, 3) and ``shares`` (40, 3).
     """
 
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, frontal: np.ndarray, feature_triangles: np.ndarray,
-                 feature_weights: np.ndarray, w1: float, w2: float, laplacian=cotangent_laplacian) -> None:
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        frontal: np.ndarray,
+        feature_triangles: np.ndarray,
+        feature_weights: np.ndarray,
+        w1: float,
+        w2: float,
+        laplacian=cotangent_laplacian,
+    ) -> None:
         self.w1 = w1
         self.system = PrefactoredSystem(vertices, triangles, frontal, w1, w2, laplacian)
         # A corner outside the frontal region does not move: its share of the feature is dropped.
@@ -122,7 +179,9 @@ class LaplacianDeformation:
         np.add.at(at_features, index, forces)
         return self._response @ at_features
 
-    def deform(self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm, start: np.ndarray, steps: int) -> np.ndarray:
+    def deform(
+        self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm, start: np.ndarray, steps: int
+    ) -> np.ndarray:
         """Displacement (n, 3) towards depth and features by ``steps`` preconditioned conjugate-gradient steps.
 
         ``matches`` of the n frontal vertices (weight 0: none) with ``normals`` (n, 3) in the head frame; ``start`` (n, 3).

@@ -11,7 +11,6 @@ from ..mesh import rotation_vector_matrix, transform_points
 from ..parameters import RigidParameters
 from .depth_surface import Correspondences, DepthSurface, find_correspondences
 
-
 #: A rotation moves the face by about this much per radian, mm.
 FACE_RADIUS = 100.0
 
@@ -61,8 +60,9 @@ def _point_to_plane_equations(points, normals, distances, weights, centre):
     return h, g
 
 
-def point_to_plane_step(points: np.ndarray, correspondences: Correspondences, centre: np.ndarray,
-                        vertex_weights: np.ndarray) -> np.ndarray:
+def point_to_plane_step(
+    points: np.ndarray, correspondences: Correspondences, centre: np.ndarray, vertex_weights: np.ndarray
+) -> np.ndarray:
     """(6,) rotation and translation that minimise sum w_i (n_i^T (v_i - p_i))^2, linearised (Chen & Medioni 1991).
 
     With J of :func:`rigid_jacobian` and W the product of match and vertex weights: (J^T W J) step = -J^T W distances.

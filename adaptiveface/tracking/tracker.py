@@ -91,8 +91,24 @@ class FaceTracker:
 
         self.pose, self._x, self._v1, self._deformation = pose, x, v1, deformation
         anchor, adaptive = self.model.distances(self._displacement(v4))
-        return TrackedFrame(frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, state,
-                            self.model.updates, rigid.residual, anchor, adaptive, ms)
+        return TrackedFrame(
+            frame.index,
+            frame.timestamp,
+            True,
+            pose,
+            v1,
+            v2,
+            v3,
+            v4,
+            x,
+            coefficients,
+            state,
+            self.model.updates,
+            rigid.residual,
+            anchor,
+            adaptive,
+            ms,
+        )
 
     # ---- section 4.1 -----------------------------------------------------------------------------------------------
     def _find_head(self, frame: RgbdFrame, normals: np.ndarray, ms) -> tuple[RigidFit | None, DepthSurface | None]:
@@ -120,7 +136,9 @@ class FaceTracker:
         if frame.features is None or frame.features.valid.sum() < 6:
             return True
         points = transform_points(pose, self.blendshapes.feature_points(self._x))
-        return bool(np.median(reprojection_errors(frame.features, frame.camera, points)) < self.parameters.rigid.relocate)
+        return bool(
+            np.median(reprojection_errors(frame.features, frame.camera, points)) < self.parameters.rigid.relocate
+        )
 
     def _crop(self, frame: RgbdFrame, pose: np.ndarray) -> DepthSurface | None:
         points = transform_points(pose, self.actor.neutral[self._frontal])
@@ -183,8 +201,22 @@ class FaceTracker:
     def _untracked(self, frame: RgbdFrame, ms: dict[str, float]) -> TrackedFrame:
         neutral, x = self.actor.neutral, self._x
         reason = "the head was not found" if frame.depth.any() else "the depth map is empty"
-        return TrackedFrame(frame.index, frame.timestamp, False, np.eye(4), neutral, neutral, neutral, neutral, x, x,
-                            SampleState.UNTRACKED, self.model.updates, stage_ms=ms, reason=reason)
+        return TrackedFrame(
+            frame.index,
+            frame.timestamp,
+            False,
+            np.eye(4),
+            neutral,
+            neutral,
+            neutral,
+            neutral,
+            x,
+            x,
+            SampleState.UNTRACKED,
+            self.model.updates,
+            stage_ms=ms,
+            reason=reason,
+        )
 
 
 @contextmanager

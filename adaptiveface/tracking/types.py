@@ -20,7 +20,16 @@ class SampleState(IntEnum):
 
 
 #: Names of the timed stages, in the order in which they run.
-STAGE_NAMES = ("preprocess", "rigid", "blendshapes", "laplacian", "projection", "final_deformation", "adaptive_pca", "resolve")
+STAGE_NAMES = (
+    "preprocess",
+    "rigid",
+    "blendshapes",
+    "laplacian",
+    "projection",
+    "final_deformation",
+    "adaptive_pca",
+    "resolve",
+)
 
 
 @dataclass(frozen=True)
