@@ -134,7 +134,8 @@ def main() -> None:
         shares.append(transfer_errors(sensor, actor, result))
         smooth.append(smoothing_rows(sensor, result, actor))
         print(f"performer {seed}: coefficients, rms error: {_joined(errors[-1])}", flush=True)
-        print(f"performer {seed}: target, active share: {_joined({k: v[0] for k, v in shares[-1].items()})}", flush=True)
+        share = {name: values[0] for name, values in shares[-1].items()}
+        print(f"performer {seed}: target, active share: {_joined(share)}", flush=True)
     for name in errors[0]:
         print(f"coefficients, {name}: rms error {np.mean([row[name] for row in errors]):.4f}")
     for name in shares[0]:

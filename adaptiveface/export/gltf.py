@@ -201,5 +201,5 @@ def read_glb_animation(path: str | os.PathLike) -> AnimatedMesh:
         names = tuple(mesh.get("extras", {}).get("targetNames", ()))
         return AnimatedMesh(
             mesh["name"], neutral / METRES, file.triangles(primitive, len(neutral)), names,
-            np.array(targets).reshape(len(targets), -1, 3) / METRES, weights, times, rigid,
+            np.array(targets).reshape(len(targets), len(neutral), 3) / METRES, weights, times, rigid,
         )  # fmt: skip

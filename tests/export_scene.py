@@ -1,0 +1,58 @@
+"""A small tracked result with known truth for the tests of retargeting and export: no tracking needed."""
+
+from __future__ import annotations
+
+import numpy as np
+from scenes import exact_actor
+
+from adaptiveface.actor import Actor
+from adaptiveface.export.result import Result
+from adaptiveface.mesh import transform_points
+from adaptiveface.parameters import Parameters
+from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
+from adaptiveface.synthetic.script import HeadMotion, performance
+from adaptiveface.tracking.types import STAGE_NAMES
+
+FRAMES = 24
+
+
+def known_coefficients(actor: Actor, frames: int = FRAMES, seed: int = 3) -> np.ndarray:
+    """(F, A) coefficients of a performance."""
+    names = ARKIT_NAMES
+    return arkit_weights(actor.expression_names).coefficients(performance(seed, names, frames))
+
+
+def fields(neutral: np.ndarray, frontal: np.ndarray, count: int, seed: int) -> np.ndarray:
+    """(count, N, 3) mm: smooth bumps on the face that no expression knows."""
+    rng = np.random.default_rng(seed)
+    centres = neutral[rng.choice(np.flatnonzero(frontal), count)]
+    distance = np.linalg.norm(neutral[None] - centres[:, None], axis=2)
+    return np.exp(-((distance / 14.0) ** 2))[:, :, None] * rng.normal(size=(count, 1, 3)) * frontal[None, :, None]
+
+
+def tracked_result(seed: int = 0, frames: int = FRAMES) -> tuple[Actor, Result, np.ndarray]:
+    """Actor, result and v4 (F, N, 3) in the head frame: coefficients, correctives and a drifting remainder."""
+    actor = exact_actor(seed)
+    rng = np.random.default_rng(seed)
+    x = known_coefficients(actor, frames)
+    correctives = fields(actor.neutral, actor.frontal, 4, seed).reshape(4, -1)
+    correctives = np.linalg.qr(correctives.T)[0].T.reshape(4, *actor.neutral.shape)
+    flat = actor.blendshapes.reshape(len(x.T), -1)
+    v4 = actor.neutral + (x @ flat).reshape(frames, -1, 3)
+    v4 = v4 + np.tensordot(rng.normal(0, 20, (frames, 4)), correctives, axes=1)
+    v4 = v4 + np.tensordot(rng.normal(0, 0.7, (frames, 12)), fields(actor.neutral, actor.frontal, 12, seed + 1), axes=1)
+    motion = HeadMotion(seed, 0, 30.0, 600.0)
+    rigid = np.stack([motion.pose(f) for f in range(frames)])
+    vertices = np.stack([transform_points(m, v) for m, v in zip(rigid, v4, strict=True)]).astype(np.float32)
+    zeros = np.zeros(frames, np.float32)
+    result = Result(
+        vertices=vertices, triangles=actor.triangles, frontal=actor.frontal, tracked=np.ones(frames, bool),
+        skipped=np.zeros(frames, bool), timestamps=np.arange(frames) / 30.0, rigid=rigid.astype(np.float32),
+        coefficients=x.astype(np.float32), coefficients_initial=np.clip(x + 0.05, 0, 1).astype(np.float32),
+        expression_names=actor.expression_names, feature_vertices=actor.feature_vertices, feature_ids=actor.feature_ids,
+        corrective_updates=np.zeros(frames, np.int32), sample_state=np.full(frames, 2, np.int8), residual=zeros,
+        anchor_distance=zeros, adaptive_distance=zeros, reasons=("",) * frames,
+        stage_ms=np.zeros((frames, len(STAGE_NAMES)), np.float32), stage_names=STAGE_NAMES,
+        parameters=Parameters().to_json(), correctives=correctives.astype(np.float32),
+    )  # fmt: skip
+    return actor, result, v4
