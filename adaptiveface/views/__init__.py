@@ -5,6 +5,7 @@ the studies (:mod:`.laplacian_study` and its neighbours) hold what one notebook 
 """
 
 from ..errors import MissingExtraError
+from ..parameters import Parameters
 
 try:
     import ipywidgets  # noqa: F401
@@ -26,7 +27,8 @@ from .session import Session, fast, load_session
 from .workbench import SeriesCache, Workbench, error_chart, figure_11
 
 __all__ = [
-    "CameraView", "FaceView", "GridChart", "LiveChart", "Measures", "ParameterPanel", "Player", "Replay", "SeriesCache",
+    "CameraView", "FaceView", "GridChart", "LiveChart", "Measures", "ParameterPanel",
+    "Parameters", "Player", "Replay", "SeriesCache",
     "Session", "Workbench", "colour_bar", "depth_distance", "error_chart", "fast", "figure_11", "load_session",
     "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict",
 ]  # fmt: skip

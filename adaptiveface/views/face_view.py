@@ -29,7 +29,7 @@ class FaceView:
     def __init__(
         self, vertices: np.ndarray, triangles: np.ndarray, titles: Sequence[str] = ("",), limits=(0.0, 5.0),
         label: str = "", pane: tuple[int, int] = (380, 420), centre: np.ndarray | None = None,
-        shape: tuple[int, int] | None = None, colourmap: str = COLOURMAP, radius: float = 125.0,
+        shape: tuple[int, int] | None = None, colourmap: str = COLOURMAP, radius: float = 138.0,
     ) -> None:  # fmt: skip
         pyvista = prepare_rendering()
         rows, columns = shape or (1, len(titles))
@@ -40,13 +40,15 @@ class FaceView:
         )
         faces = np.column_stack([np.full(len(triangles), 3), triangles]).astype(np.int64)
         self._triangles = np.asarray(triangles)
-        self._meshes, self._colours, self._normals, self._clouds, self._colourmap = [], [], [], {}, colourmap
+        self._meshes, self._actors, self._colours, self._normals = [], [], [], []
+        self._clouds, self._colourmap = {}, colourmap
         for number, title in enumerate(titles):
             self.plotter.subplot(*divmod(number, columns))
             self.plotter.set_background("white")
             mesh = pyvista.PolyData(np.asarray(vertices, np.float32), faces)
             mesh["lit"] = np.full((len(vertices), 3), 200, np.uint8)
-            self.plotter.add_mesh(mesh, scalars="lit", rgb=True, lighting=False, show_scalar_bar=False)
+            drawn = self.plotter.add_mesh(mesh, scalars="lit", rgb=True, lighting=False, show_scalar_bar=False)
+            self._actors.append(drawn)
             if title:
                 self.plotter.add_text(title, position="upper_left", font_size=9, color="black")
             self._meshes.append(mesh)
@@ -75,30 +77,44 @@ class FaceView:
             np.full((mesh.n_points, 3), SKIN) if heat is None else heat_map(heat, self.limits, self._colourmap)
         )
 
-    def show_points(self, pane: int, points: np.ndarray, values: np.ndarray | None = None, count: int = 4000) -> None:
-        """A cloud of points (n, 3) over a pane's head, coloured by values (n,) in the view's range.
+    def hide_head(self, pane: int) -> None:
+        """Leave only the points in a pane."""
+        self._actors[pane].visibility = False
+
+    def show_points(
+        self,
+        pane: int,
+        points: np.ndarray,
+        values: np.ndarray | None = None,
+        normals: np.ndarray | None = None,
+        count: int = 6000,
+    ) -> None:
+        """A cloud of points (n, 3) in a pane, coloured by values (n,) in the view's range, lit by normals (n, 3).
 
         Drawn with a constant ``count``: a cloud that changes its size would have to be rebuilt for every frame.
         """
-        pyvista = prepare_rendering()
-        pick = np.linspace(0, len(points) - 1, count).astype(int) if len(points) else np.zeros(0, int)
-        positions = np.asarray(points, np.float32)[pick] if len(points) else np.full((count, 3), np.nan, np.float32)
-        heat = (
-            np.zeros(count, np.float32) if values is None or not len(points) else np.asarray(values, np.float32)[pick]
-        )
-        if pane not in self._clouds:
-            cloud = pyvista.PolyData(positions)
-            cloud["heat"] = heat
-            columns = self.plotter.shape[1]
-            self.plotter.subplot(*divmod(pane, columns))
-            self.plotter.add_mesh(
-                cloud, scalars="heat", cmap=self._colourmap, clim=self.limits, point_size=3, style="points",
-                render_points_as_spheres=False, show_scalar_bar=False, lighting=False, reset_camera=False,
-            )  # fmt: skip
-            self._clouds[pane] = cloud
-        else:
-            self._clouds[pane].points = positions
-            self._clouds[pane]["heat"] = heat
+        if len(points) == 0:
+            points, values, normals = np.full((1, 3), 1e6), None, None  # out of sight
+        pick = np.linspace(0, len(points) - 1, count).astype(int)
+        positions = np.asarray(points, np.float32)[pick]
+        shown = np.zeros(count) if values is None else np.asarray(values, float)[pick]
+        colours = heat_map(shown, self.limits, self._colourmap)
+        if normals is not None:
+            towards = np.broadcast_to(self._away[None], (count, 3))
+            diffuse, _ = irradiance(np.asarray(normals, float)[pick], towards, Light())
+            colours = colours * diffuse[:, None]
+        colours = np.clip(colours, 0, 255).astype(np.uint8)
+        if pane in self._clouds:
+            self._clouds[pane].points, self._clouds[pane]["lit"] = positions, colours
+            return
+        cloud = prepare_rendering().PolyData(positions)
+        cloud["lit"] = colours
+        self.plotter.subplot(*divmod(pane, self.plotter.shape[1]))
+        self.plotter.add_mesh(
+            cloud, scalars="lit", rgb=True, style="points", point_size=3, lighting=False, show_scalar_bar=False,
+            reset_camera=False,
+        )  # fmt: skip
+        self._clouds[pane] = cloud
 
     def look(self, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0) -> None:
         """Camera ``turn`` degrees to the side and ``tilt`` degrees up from straight ahead; redraws."""

@@ -56,16 +56,16 @@ def learned_samples(replay: Replay, last: int) -> np.ndarray:
     return samples - (samples @ anchors) @ anchors.T
 
 
-def angle_to_batch(model: AdaptiveModel, samples: np.ndarray, leading: int = 3) -> float:
-    """Largest angle, degrees, by which the ``leading`` directions of a batch PCA leave the correctives' span.
+def angle_to_batch(model: AdaptiveModel, samples: np.ndarray) -> float:
+    """Mean principal angle, degrees, between the k correctives and the k leading directions of a batch PCA.
 
-    0: the incremental correctives hold everything that the batch PCA (through the origin, as in section 5) finds.
+    Batch: a singular value decomposition of all ``samples`` (s, 3n) at once, through the origin as in section 5.
     """
-    if model.correctives.shape[1] == 0 or len(samples) < 2:
+    k = model.correctives.shape[1]
+    if k == 0 or len(samples) <= k:
         return float("nan")
     _, _, directions = np.linalg.svd(samples, full_matrices=False)
-    angles = subspace_angles(model.correctives, directions[: min(leading, model.correctives.shape[1], len(samples))].T)
-    return float(np.degrees(angles.max()))
+    return float(np.degrees(subspace_angles(model.correctives, directions[:k].T).mean()))
 
 
 def angle_chart(session: Session, every: int = 10):
@@ -76,7 +76,7 @@ def angle_chart(session: Session, every: int = 10):
         (0, 90),
         "frame",
         "angle, degrees",
-        "leading 3 directions: angle to batch PCA",
+        "mean angle to batch PCA",
     )
     known: dict[int, tuple[object, float]] = {}
 

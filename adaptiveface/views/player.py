@@ -79,6 +79,8 @@ class Player:
                     begin, first, speed = time.perf_counter(), self.slider.value, self.speed.value  # moved by hand
                 position = first + int((time.perf_counter() - begin) * self.fps * speed)
                 if position > self.slider.max:
+                    if shown != self.slider.max:  # skipped by a slow view: the last frame is shown all the same
+                        self._step_to(self.slider.max)
                     if not self.loop.value:
                         return
                     begin, first, position = time.perf_counter(), 0, 0

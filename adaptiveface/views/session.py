@@ -89,11 +89,11 @@ def load_session(
     """The performance that the notebooks work on.
 
     ``source``: "synthetic", "synthetic:SEED[:NOISE]" or a recording folder. ``neutral_frames`` with the face at rest
-    come first and make the rig; then ``frames`` of performance (default 120, or 24 where :func:`fast`), from frame
+    come first and make the rig; then ``frames`` of performance (default 100, or 24 where :func:`fast`), from frame
     ``first`` of the recording on. ``cache``: folder for synthetic performances (default: the user's cache folder).
     Raises :class:`AdaptiveFaceError` (or one of its kinds) for a source that cannot be used.
     """
-    count = frames or (24 if fast() else 120)
+    count = frames or (24 if fast() else 100)
     if source == "synthetic" or source.startswith("synthetic:"):
         return _synthetic(source, neutral_frames, count, Path(cache) if cache else Path(user_cache_dir("adaptiveface")))
     return _recorded(source, neutral_frames, count, first)

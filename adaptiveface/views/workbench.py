@@ -62,7 +62,10 @@ class Workbench:
     def _lay_out(self, restart: widgets.Widget) -> None:
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         views = [self.view.widget] + ([self.camera.widget] if self.camera else [])
-        below = [widgets.VBox([self.panel.widget, restart, self.message]), *(chart.widget for chart, _ in self.charts)]
+        below = [
+            widgets.VBox([self.panel.widget, restart, self.message]),
+            widgets.VBox([chart.widget for chart, _ in self.charts]),
+        ]
         self.widget = widgets.VBox(
             [widgets.HBox(views, layout=row), self.player.widget, widgets.HBox(below, layout=row)]
         )

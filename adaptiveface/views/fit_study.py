@@ -1,0 +1,116 @@
+"""For notebook 04: the bounded fit against its shortcuts, and the Kalman filter's jitter against its lag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import ipywidgets as widgets
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ..actor import Actor
+from ..frame import RgbdFrame
+from ..mesh import vertex_normals
+from ..parameters import BlendshapeParameters, DepthParameters, KalmanParameters
+from ..tracking.bounded import bounded_least_squares
+from ..tracking.depth_surface import crop_window, depth_surface, find_correspondences
+from ..tracking.feature_rows import feature_rows
+from ..tracking.kalman import CoefficientFilter
+from ..tracking.types import TrackedFrame
+from .charts import COLOURS
+from .pictures import encode, image_widget
+
+
+@dataclass(frozen=True)
+class FitProblem:
+    """min x^T H x / 2 - g^T x (+ constant), 0 <= x <= 1: equations (1) and (2) of one frame. H (A, A), g (A,)."""
+
+    h: np.ndarray
+    g: np.ndarray
+
+    def energy(self, x: np.ndarray) -> float:
+        """The energy of coefficients (A,), up to a constant."""
+        return float(0.5 * x @ self.h @ x - self.g @ x)
+
+    def unbounded(self) -> np.ndarray:
+        """(A,) the minimum without bounds."""
+        return np.linalg.solve(self.h, self.g)
+
+    def clipped(self) -> np.ndarray:
+        """(A,) the shortcut: the unbounded minimum, clipped to [0, 1]."""
+        return np.clip(self.unbounded(), 0, 1)
+
+    def bounded(self) -> np.ndarray:
+        """(A,) the minimum within the bounds (section 4.2)."""
+        return bounded_least_squares(self.h, self.g, np.zeros(len(self.g)), np.ones(len(self.g)))
+
+
+def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters: BlendshapeParameters) -> FitProblem:
+    """The last linear system of a frame's fit: rows of eqs. (1) and (2) at the pose and shape of ``result``.
+
+    Written for reading, without the robust weights and the joint pose of ``tracking/expression.py``.
+    """
+    keep = actor.frontal & actor.depth_valid
+    rotation = result.rigid[:3, :3]
+    in_camera = result.in_camera(result.v1)
+    window = crop_window(frame.camera, frame.camera.project(in_camera[keep]), 20.0)
+    surface = depth_surface(frame.depth, frame.camera, window, DepthParameters())
+    normals = vertex_normals(in_camera, actor.triangles)
+    matches = find_correspondences(surface, in_camera[keep], normals[keep], parameters.prune)
+    used = matches.weights > 0
+    # Eq. (1): n^T (b0 + B x - p) = distance + n^T B (x - x_now), with everything turned into the head frame.
+    planes = matches.normals[used] @ rotation
+    basis = actor.blendshapes[:, keep][:, used]
+    depth_rows = np.einsum("nd,and->na", planes, basis)
+    now = np.tensordot(result.coefficients_initial, actor.blendshapes[: len(result.coefficients_initial)], axes=1)[
+        keep
+    ][used]
+    depth_right = np.einsum("nd,nd->n", planes, now) - matches.distances[used]
+    # Eq. (2): [1 0 -u; 0 1 -v] P (R (f0 + F x) + t) for every feature seen.
+    rows = feature_rows(frame.features, frame.camera, result.rigid)
+    corners, shares = actor.feature_triangles[rows.index], actor.feature_weights[rows.index]
+    rest = np.einsum("fk,fkd->fd", shares, actor.neutral[corners])
+    moves = np.einsum("fk,afkd->fda", shares, actor.blendshapes[:, corners])
+    feature_rows_ = (rows.rows @ moves).reshape(-1, len(actor.blendshapes))
+    feature_right = -(np.einsum("fij,fj->fi", rows.rows, rest) + rows.offsets).ravel()
+    h = depth_rows.T @ depth_rows + parameters.w * feature_rows_.T @ feature_rows_
+    h += (parameters.ridge + 1e-6) * np.eye(len(h))
+    return FitProblem(h, depth_rows.T @ depth_right + parameters.w * feature_rows_.T @ feature_right)
+
+
+def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], title: str = "") -> widgets.Image:
+    """Bars per expression and solution, with the allowed range [0, 1] in grey."""
+    figure = Figure(figsize=(10.5, 3.6), dpi=100, facecolor="white", layout="constrained")
+    canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
+    axis.axhspan(0, 1, color="0.92", zorder=0)
+    width = 0.8 / len(solutions)
+    for k, (name, x) in enumerate(solutions.items()):
+        axis.bar(np.arange(len(x)) + (k - (len(solutions) - 1) / 2) * width, x, width, color=COLOURS[k], label=name)
+    axis.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=8)
+    axis.set_ylabel("coefficient (grey: allowed)", fontsize=9)
+    axis.set_title(title, fontsize=9)
+    axis.legend(fontsize=8)
+    canvas.draw()
+    image = image_widget(1050, 360, "png")
+    image.value = encode(np.asarray(canvas.buffer_rgba())[..., :3], "png")
+    return image
+
+
+def filtered(measured: np.ndarray, parameters: KalmanParameters) -> np.ndarray:
+    """The Kalman filter's output (F, A) for measured coefficients (F, A)."""
+    kalman = CoefficientFilter(parameters)
+    return np.array([kalman.update(row) for row in measured])
+
+
+def jitter(x: np.ndarray) -> float:
+    """Root mean square of the second difference over frames of coefficients (F, A): how much they tremble."""
+    return float(np.sqrt((np.diff(x, 2, axis=0) ** 2).mean()))
+
+
+def lag(output: np.ndarray, measured: np.ndarray, most: int = 20) -> int:
+    """Frames by which ``output`` (F, A) trails ``measured`` (F, A): the shift at which they agree best."""
+    most = min(most, len(measured) // 3)
+    errors = [np.mean((output[shift:] - measured[: len(measured) - shift]) ** 2) for shift in range(most + 1)]
+    return int(np.argmin(errors))

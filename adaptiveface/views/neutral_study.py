@@ -1,0 +1,180 @@
+"""For notebooks 01 and 02: the neutral scan growing, identity modes, shrink-wrap, and the personal expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import ipywidgets as widgets
+import numpy as np
+
+from ..actor import Actor
+from ..face_model import FaceModel, embedded_face_model
+from ..mesh import vertex_normals
+from ..neutral.fit import IdentityFit, ScanSearch
+from ..neutral.fuse import FusedScan, fuse_frames
+from ..neutral.shrink_wrap import shrink_wrap
+from ..parameters import FusionParameters, ShrinkWrapParameters
+from ..pipeline import one_blas_thread
+from .face_view import FaceView
+from .kernel import on_main_thread, shown_errors
+from .session import Session
+
+_WIDE = widgets.Layout(width="420px")
+_STYLE = {"description_width": "130px"}
+
+
+class _Study:
+    """Controls over a face view: ``widget`` is what to display; a change calls ``draw``, whose errors are shown."""
+
+    view: FaceView
+
+    def _assemble(self, controls: Sequence[widgets.Widget]) -> None:
+        self.message = widgets.HTML()
+        self._draw_on_main = on_main_thread(self._redraw)
+        for control in controls:
+            control.observe(lambda change: self._draw_on_main(), "value")
+        box = widgets.VBox([*controls, self.message], layout=widgets.Layout(max_height="460px", overflow="auto"))
+        self.widget = widgets.HBox([box, self.view.widget], layout=widgets.Layout(flex_flow="row wrap"))
+        self._redraw()
+
+    def _redraw(self) -> None:
+        self.note = ""
+        with shown_errors(lambda text: setattr(self.message, "value", text or self.note)), one_blas_thread():
+            self.draw()
+            self.view.refresh()
+
+    def draw(self) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Free the renderer; the last picture stays."""
+        self.view.close()
+
+    def _ipython_display_(self) -> None:
+        from IPython.display import display
+
+        display(self.widget)
+
+
+class ScanStudy(_Study):
+    """Frames of the neutral face join the merged scan; its volume has a grid of adjustable spacing."""
+
+    def __init__(self, session: Session, voxel: float = 2.0) -> None:
+        self.session, self.model = session, embedded_face_model()
+        most = len(session.neutral)
+        self.view = FaceView(
+            self.model.mean, self.model.triangles, ("merged scan",), limits=(0, most),
+            label="depth frames that saw the point", centre=self.model.mean[self.model.frontal].mean(axis=0),
+        )  # fmt: skip
+        self.view.hide_head(0)
+        self.frames = widgets.IntSlider(
+            1, min=1, max=most, description="frames", style=_STYLE, layout=_WIDE, continuous_update=False
+        )
+        self.voxel = widgets.FloatSlider(
+            voxel,
+            min=1.5,
+            max=6,
+            step=0.5,
+            description="voxel, mm",
+            style=_STYLE,
+            layout=_WIDE,
+            continuous_update=False,
+        )
+        self._assemble([self.frames, self.voxel])
+
+    def draw(self) -> None:
+        parameters = FusionParameters(voxel=self.voxel.value, passes=1, min_views=0.0)
+        self.scan = fuse_frames(self.session.neutral[: self.frames.value], self.model, parameters)
+        self.view.show_points(0, self.scan.points, self.scan.weights, self.scan.normals, count=20_000)
+        self.note = (f"{len(self.scan.frames)} frames registered, {len(self.scan.points)} points, median distance of a "
+                     f"frame to the merged surface {np.median(self.scan.residuals):.2f} mm")  # fmt: skip
+
+
+class IdentityStudy(_Study):
+    """The first identity modes of the face model as sliders, in standard deviations."""
+
+    def __init__(self, model: FaceModel | None = None, modes: int = 8, start: np.ndarray | None = None) -> None:
+        self.model = model or embedded_face_model()
+        self.view = FaceView(
+            self.model.mean, self.model.triangles, ("identity",), limits=(0, 8),
+            label="distance from the mean head, mm",
+            centre=self.model.mean[self.model.frontal].mean(axis=0),
+        )  # fmt: skip
+        values = np.zeros(modes) if start is None else np.clip(start[:modes], -3, 3)
+        limits = dict(min=-3, max=3, step=0.1, style=_STYLE, layout=_WIDE)
+        self.sliders = [widgets.FloatSlider(float(v), description=f"mode {k + 1}", **limits)
+                        for k, v in enumerate(values)]  # fmt: skip
+        self._assemble(self.sliders)
+
+    def draw(self) -> None:
+        vertices = self.model.neutral(np.array([slider.value for slider in self.sliders]))
+        self.view.show(0, vertices, np.linalg.norm(vertices - self.model.mean, axis=1))
+
+
+class ShrinkWrapStudy(_Study):
+    """The fitted head before and after the shrink-wrap, coloured by the distance to the scan, for any stiffness."""
+
+    def __init__(self, scan: FusedScan, fit: IdentityFit, stiffness: float = 0.3) -> None:
+        """``scan`` in the head frame (``neutral.fuse.in_head_frame``); ``fit`` the identity fit to it."""
+        self.model, self.scan, self.fit, self._search = embedded_face_model(), scan, fit, ScanSearch(scan)
+        self.view = FaceView(
+            fit.vertices, self.model.triangles, ("fitted modes", "after the shrink-wrap"), limits=(0, 2),
+            label="distance to the scan, mm", centre=fit.vertices[self.model.frontal].mean(axis=0), pane=(330, 380),
+        )  # fmt: skip
+        steps = [0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0]
+        self.stiffness = widgets.SelectionSlider(
+            options=[(f"{s:g}", s) for s in steps],
+            value=stiffness,
+            style=_STYLE,
+            layout=_WIDE,
+            description="rigidity at the end",
+            continuous_update=False,
+        )
+        self._assemble([self.stiffness])
+
+    def draw(self) -> None:
+        last = self.stiffness.value
+        # Without the fine per-vertex step, which would reach the scan whatever the stiffness.
+        parameters = ShrinkWrapParameters(rigidity_start=max(100.0, last), rigidity_end=last, detail_iterations=0)
+        self.wrap = shrink_wrap(self.scan, self.model, self.fit.vertices, parameters)
+        after = self.distance(self.wrap.vertices)
+        self.view.show(0, self.fit.vertices, self.distance(self.fit.vertices))
+        self.view.show(1, self.wrap.vertices, after)
+        before = self.fit.residual
+        self.note = f"median distance to the scan: {before:.2f} mm before, {np.nanmedian(after):.2f} mm after"
+
+    def distance(self, vertices: np.ndarray) -> np.ndarray:
+        """(V,) point-to-plane distance to the scan, mm; NaN where the scan has nothing."""
+        normals = vertex_normals(vertices, self.model.triangles)
+        found = self._search.correspondences(vertices, normals, self.model.frontal, 10.0, 50.0)
+        out = np.full(len(vertices), np.nan)
+        out[found.vertices] = np.abs(found.distances)
+        return out
+
+
+class ExpressionStudy(_Study):
+    """The generic expressions as sliders, on the model's average head and on the actor's, side by side."""
+
+    def __init__(self, actor: Actor, model: FaceModel | None = None, start: dict[str, float] | None = None) -> None:
+        self.actor, self.model = actor, model or embedded_face_model()
+        self.view = FaceView.of(
+            actor, ("average head", "personal head"), limits=(0, 12), label="displacement, mm", pane=(330, 380)
+        )
+        self._offset = actor.neutral[actor.frontal].mean(axis=0) - self.model.mean[self.model.frontal].mean(axis=0)
+        limits = dict(
+            min=0, max=1, step=0.02, style={"description_width": "150px"}, layout=widgets.Layout(width="400px")
+        )
+        self.sliders = {name: widgets.FloatSlider((start or {}).get(name, 0.0), description=name, **limits)
+                        for name in actor.expression_names}  # fmt: skip
+        self._assemble(list(self.sliders.values()))
+
+    def draw(self) -> None:
+        x = np.array([slider.value for slider in self.sliders.values()])
+        for pane, (neutral, shapes) in enumerate(
+            (
+                (self.model.mean + self._offset, self.model.generic_expressions),
+                (self.actor.neutral, self.actor.blendshapes),
+            )
+        ):
+            moved = np.tensordot(x, shapes, axes=1)
+            self.view.show(pane, neutral + moved, np.linalg.norm(moved, axis=1))

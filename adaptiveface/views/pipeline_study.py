@@ -1,0 +1,137 @@
+"""For notebooks 07 and 08: the pipeline with stages left out, side by side, and sweeps over parameters."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+
+import ipywidgets as widgets
+import numpy as np
+
+from ..errors import MissingExtraError
+from ..evaluation.ablation import VARIANTS, Variant
+from ..parameters import Parameters
+from .charts import GridChart
+from .face_view import FaceView
+from .measures import Measures
+from .player import Player
+from .replay import Replay
+from .session import Session
+
+
+class AblationView:
+    """The same frame by several variants of the pipeline, coloured by the error; ``widget`` is what to display."""
+
+    def __init__(
+        self,
+        session: Session,
+        variants: Sequence[Variant] | None = None,
+        parameters: Parameters | None = None,
+        frames: int | None = None,
+        start: int = 0,
+    ) -> None:
+        self.session, self.measures = session, Measures(session)
+        self.variants = list(variants or [v for v in VARIANTS if v.fit][:6])
+        self.frames, parameters = session.frames[:frames], parameters or Parameters()
+        runs: dict[tuple, Replay] = {}
+        for variant in self.variants:
+            key = tuple(variant.changes.items())
+            if key not in runs:
+                runs[key] = Replay(self.frames, session.actor, parameters.set(**variant.changes))
+                runs[key].run()
+        self._runs = [runs[tuple(variant.changes.items())] for variant in self.variants]
+        columns = min(3, len(self.variants))
+        shape = (-(-len(self.variants) // columns), columns)
+        titles = [variant.name.replace(" and the", "\nand the") for variant in self.variants]
+        self.view = FaceView.of(
+            session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(300, 330)
+        )
+        self.note = widgets.HTML()
+        self.player = Player(len(self.frames), self.show)
+        self.widget = widgets.VBox([self.view.widget, self.player.widget, self.note])
+        self.player.go_to(start) if start else self.show(0)
+
+    def show(self, index: int) -> None:
+        """Draw frame ``index`` by every variant."""
+        rows = []
+        for pane, (variant, run) in enumerate(zip(self.variants, self._runs, strict=True)):
+            heat = self.measures.error(run.results[index], self.frames[index], variant.stage)
+            self.view.show(pane, getattr(run.results[index], variant.stage), heat)
+            rows.append(f"<tr><td>{variant.name}</td><td>{np.nanmean(heat):.3f} mm</td></tr>")
+        self.view.refresh()
+        self.note.value = f"<table>{''.join(rows)}</table>"
+
+    def close(self) -> None:
+        """Stop the player and free the renderer; the last picture stays."""
+        self.player.close()
+        self.view.close()
+
+    def _ipython_display_(self) -> None:
+        from IPython.display import display
+
+        display(self.widget)
+
+
+def repeat_error(session: Session, parameters: Parameters) -> float:
+    """Mean error of v4, mm, over the second half of the performance (the repeat, where there is one)."""
+    measures, half = Measures(session), len(session.frames) // 2
+    results = Replay(session.frames, session.actor, parameters).run()
+    errors = [measures.mean_error(r, f) for r, f in zip(results[half:], session.frames[half:], strict=True)]
+    return float(np.nanmean(errors))
+
+
+def sweep(
+    session: Session,
+    rows: dict[str, Iterable],
+    columns: dict[str, Iterable],
+    chart: GridChart | None = None,
+    parameters: Parameters | None = None,
+    measure: Callable[[Session, Parameters], float] = repeat_error,
+    client=None,
+) -> np.ndarray:
+    """``measure`` for every pair of values of two parameters: (R, C) array, with a progress bar.
+
+    ``rows``, ``columns``: {"adaptive_pca.K": values}. ``chart`` fills while the sweep runs. ``client``:
+    a ``dask.distributed.Client`` that computes the cells in parallel (:func:`local_cluster`), None: one by one.
+    """
+    from tqdm.auto import tqdm
+
+    (row_name, row_values), (column_name, column_values) = *rows.items(), *columns.items()
+    row_values, column_values, base = list(row_values), list(column_values), parameters or Parameters()
+    out = np.full((len(row_values), len(column_values)), np.nan)
+    cells = list(itertools.product(range(len(row_values)), range(len(column_values))))
+    settings = [base.set(**{row_name: row_values[r], column_name: column_values[c]}) for r, c in cells]
+    _ = session.actor  # captured once, before it is sent anywhere
+    for (r, c), value in tqdm(
+        _computed(session, cells, settings, measure, client), total=len(cells), desc="sweep", unit="run"
+    ):
+        out[r, c] = value
+        if chart is not None:
+            chart.set(r, c, value)
+    return out
+
+
+def _computed(session, cells, settings, measure, client):
+    """Yield (cell, value) as they are done."""
+    if client is None:
+        for cell, parameters in zip(cells, settings, strict=True):
+            yield cell, measure(session, parameters)
+        return
+    from distributed import as_completed
+
+    shared = client.scatter(session, broadcast=True)
+    futures = {client.submit(measure, shared, p): cell for cell, p in zip(cells, settings, strict=True)}
+    for future in as_completed(futures):
+        yield futures[future], future.result()
+
+
+def local_cluster(workers: int = 2):
+    """A ``dask.distributed.Client`` with its own worker processes on this machine; close it with ``client.close()``.
+
+    Raises :class:`MissingExtraError` where Dask is not installed. ``Client("tcp://...")`` joins a cluster elsewhere.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtraError('Dask is not installed: python -m pip install "adaptiveface[cluster]"') from None
+    return Client(n_workers=workers, threads_per_worker=1, dashboard_address=None)

@@ -1,0 +1,132 @@
+"""For notebook 03: rigid ICP iteration by iteration on one frame, with the residuals on the depth points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import ipywidgets as widgets
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..frame import RgbdFrame
+from ..mesh import transform_points, vertex_normals
+from ..parameters import DepthParameters
+from ..tracking.depth_surface import crop_window, depth_surface, find_correspondences
+from ..tracking.rigid import apply_rigid_update, point_to_plane_step
+from ..tracking.types import TrackedFrame
+from .charts import LiveChart
+from .face_view import FaceView
+from .neutral_study import _STYLE, _WIDE, _Study
+from .session import Session
+
+
+@dataclass(frozen=True)
+class IcpRun:
+    """``poses`` (I + 1, 4, 4): before and after every step; ``residuals`` (I + 1,) mean |distance| of the matches, mm;
+    ``matches`` (I + 1,) their number."""
+
+    poses: np.ndarray
+    residuals: np.ndarray
+    matches: np.ndarray
+
+
+def displaced(pose: np.ndarray, centre: np.ndarray, shift: float, turn: float) -> np.ndarray:
+    """A pose (4, 4) moved by ``shift`` mm sideways and forwards, and turned by ``turn`` degrees about the vertical."""
+    update = np.concatenate([np.radians(turn) * np.array([0.0, 1.0, 0.0]), shift * np.array([0.8, 0.0, -0.6])])
+    return apply_rigid_update(pose, update, transform_points(pose, centre))
+
+
+def run_icp(
+    frame: RgbdFrame,
+    shape: np.ndarray,
+    normals: np.ndarray,
+    start: np.ndarray,
+    prune: float,
+    iterations: int = 12,
+    step=point_to_plane_step,
+) -> IcpRun:
+    """Rigid ICP from ``start`` (4, 4) for a shape (n, 3) with normals (n, 3), head frame, with every iterate kept.
+
+    ``step(points, correspondences, centre, vertex_weights)`` -> (6,) is the heart of it.
+    """
+    pixels = frame.camera.project(transform_points(start, shape))
+    surface = depth_surface(frame.depth, frame.camera, crop_window(frame.camera, pixels, 40.0), DepthParameters())
+    pose, poses, residuals, counts = start, [start], [], []
+    for _ in range(iterations + 1):
+        points = transform_points(pose, shape)
+        matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, prune)
+        residuals.append(matches.mean_distance)
+        counts.append(matches.count)
+        if len(poses) > iterations or matches.count < 6:
+            break
+        centre = points.mean(axis=0)
+        pose = apply_rigid_update(pose, step(points, matches, centre, np.ones(len(points))), centre)
+        poses.append(pose)
+    return IcpRun(np.array(poses), np.array(residuals), np.array(counts))
+
+
+def depth_points(
+    frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius: float = 130.0, stride: int = 3
+) -> np.ndarray:
+    """(p, 3) measured points around the head, taken to the head frame of ``pose`` (4, 4), mm."""
+    v, u = np.mgrid[0 : frame.depth.shape[0] : stride, 0 : frame.depth.shape[1] : stride]
+    depth = frame.depth[::stride, ::stride]
+    pixels = np.stack([u[depth > 0], v[depth > 0]], axis=1).astype(float)
+    points = transform_points(np.linalg.inv(pose), frame.camera.back_project(pixels, depth[depth > 0]))
+    return points[np.linalg.norm(points - centre, axis=1) < radius]
+
+
+class IcpStudy(_Study):
+    """One frame, a start that is off by a known amount, and the ICP iterations as a slider."""
+
+    def __init__(self, session: Session, frame: RgbdFrame, result: TrackedFrame) -> None:
+        actor = session.actor
+        self.frame, self.result, self._keep = frame, result, actor.frontal & actor.depth_valid
+        self._vertices, self._all_normals = result.v1, vertex_normals(result.v1, actor.triangles)
+        self._shape, self._normals = result.v1[self._keep], self._all_normals[self._keep]
+        self._centre, self._tree = self._shape.mean(axis=0), cKDTree(result.v1)
+        self.view = FaceView.of(
+            actor, ("head and depth points",), limits=(0, 6), label="distance of the depth points, mm"
+        )
+        self.iteration = widgets.IntSlider(0, min=0, max=12, description="iteration", style=_STYLE, layout=_WIDE)
+        self.prune = widgets.FloatSlider(25, min=2, max=60, step=1, description="prune, mm", style=_STYLE, layout=_WIDE)
+        self.shift = widgets.FloatSlider(
+            10, min=0, max=60, step=1, description="start off by, mm", style=_STYLE, layout=_WIDE
+        )
+        self.turn = widgets.FloatSlider(
+            8, min=-40, max=40, step=1, description="turned by, degrees", style=_STYLE, layout=_WIDE
+        )
+        self.chart = LiveChart(
+            ("mean residual", "stop rule, 3 mm", "true error"), (0, 12), (0, 12), "iteration", "mm", "ICP, step by step"
+        )
+        self._assemble([self.iteration, self.prune, self.shift, self.turn])
+        self.widget = widgets.VBox([self.widget, self.chart.widget])
+
+    def draw(self) -> None:
+        start = displaced(self.result.rigid, self._centre, self.shift.value, self.turn.value)
+        self.run = run_icp(self.frame, self._shape, self._normals, start, self.prune.value)
+        k = min(self.iteration.value, len(self.run.poses) - 1)
+        points = depth_points(self.frame, self.run.poses[k], self._centre)
+        self.view.show(0, self._vertices)
+        self.view.show_points(0, points, self._residuals(points))
+        goal = transform_points(self.result.rigid, self._shape)
+        errors = [np.linalg.norm(transform_points(pose, self._shape) - goal, axis=1).mean() for pose in self.run.poses]
+        rule = (np.array([0, 12]), np.array([3.0, 3.0]))
+        self.chart.update(k, **{"mean residual": self.run.residuals, "stop rule, 3 mm": rule,
+                                "true error": np.array(errors)})  # fmt: skip
+        self.note = (f"after {k} steps: mean residual {self.run.residuals[k]:.2f} mm over {self.run.matches[k]} "
+                     f"correspondences; vertices {errors[k]:.2f} mm from the tracker's final pose")  # fmt: skip
+
+    def _residuals(self, points: np.ndarray) -> np.ndarray:
+        """(p,) distance of depth points from the plane of the nearest vertex; NaN beyond the pruning distance."""
+        distance, nearest = self._tree.query(points)
+        along = np.abs(((points - self._vertices[nearest]) * self._all_normals[nearest]).sum(axis=1))
+        return np.where(distance < self.prune.value, along, np.nan)
+
+
+def rotation_angle(a: np.ndarray, b: np.ndarray) -> float:
+    """Degrees between two poses (4, 4)."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1, 1))))
+
+
+__all__ = ["IcpRun", "IcpStudy", "depth_points", "displaced", "rotation_angle", "run_icp"]

@@ -1,0 +1,159 @@
+"""JupyterLab in a real browser: start both, run a notebook, find its widgets, watch its pictures."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+         "--disable-component-update", "--disable-sync"]  # fmt: skip
+#: Console errors that JupyterLab itself makes without network or with an empty settings folder.
+HARMLESS = ("favicon", "the server responded with a status of 404", "net::ERR_", "Failed to load resource", "pypi.org",
+            "Content Security Policy", "service worker", "ResizeObserver")  # fmt: skip
+
+_IDLE = "() => window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
+#: Counts the pictures that every widget image has really decoded, with their times.
+_WATCH = """() => { window.loads = {face: [], chart: []};
+  document.addEventListener('load', e => { const c = e.target.className ?? '';
+    if (c.includes?.('adaptiveface-face')) window.loads.face.push(performance.now());
+    if (c.includes?.('adaptiveface-chart')) window.loads.chart.push(performance.now()); }, true); }"""
+
+
+@contextmanager
+def jupyter_lab(folder: Path, notebooks=(), **environment):
+    """JupyterLab on copies of the named notebooks in ``folder``; gives its address, and ends it afterwards."""
+    for name in notebooks:
+        shutil.copy(NOTEBOOKS / name, folder)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    folders = ("JUPYTER_CONFIG_DIR", "JUPYTER_RUNTIME_DIR", "IPYTHONDIR", "JUPYTERLAB_WORKSPACES_DIR")
+    private = {name: str(folder / ".jupyter" / name) for name in (*folders, "JUPYTERLAB_SETTINGS_DIR")}
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "ADAPTIVEFACE_STRICT")} | private | environment
+    arguments = ["--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}", "--ServerApp.port_retries=0",
+                 "--IdentityProvider.token=", "--LabApp.expose_app_in_browser=True", "--LabApp.news_url=",
+                 f"--ServerApp.root_dir={folder}"]  # fmt: skip
+    with open(folder / "lab.log", "w") as log:
+        server = subprocess.Popen([sys.executable, "-m", "jupyterlab", *arguments], env=env, stdout=log, stderr=log)
+        try:
+            address = f"http://127.0.0.1:{port}"
+            _wait_for(address + "/api", folder / "lab.log")
+            yield address
+        finally:
+            server.terminate()
+            server.wait(20)
+
+
+def _wait_for(address: str, log: Path, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            urllib.request.urlopen(address, timeout=1)
+            return
+        except OSError:
+            time.sleep(0.2)
+    raise RuntimeError(log.read_text()[-2000:])
+
+
+@contextmanager
+def chromium_page(width: int = 1500, height: int = 1300):
+    """A page of Debian's chromium; ``page.problems`` collects console errors that are not known to be harmless."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
+        try:
+            page = browser.new_context(viewport={"width": width, "height": height}).new_page()
+            page.problems = []
+
+            def note(message) -> None:
+                text = f"{message.text} {message.location.get('url', '')}"
+                if message.type == "error" and not any(h.lower() in text.lower() for h in HARMLESS):
+                    page.problems.append(text)
+
+            page.on("console", note)
+            page.on("pageerror", lambda error: page.problems.append(str(error)))
+            yield page
+        finally:
+            browser.close()
+
+
+def open_notebook(page, address: str, name: str) -> None:
+    """Open a notebook and wait until its kernel is idle (running cells earlier races with its start)."""
+    page.goto(f"{address}/lab/tree/{name}?reset")
+    page.wait_for_selector(".jp-NotebookPanel .jp-CodeCell", timeout=90_000)
+    page.wait_for_function(_IDLE, timeout=90_000)
+    page.evaluate(_WATCH)
+    # All cells in the page at once: JupyterLab otherwise takes those out that are not in sight.
+    page.evaluate("() => { const p = window.jupyterapp.shell.currentWidget; p.content.notebookConfig = "
+                  "{...p.content.notebookConfig, windowingMode: 'none'}; }")  # fmt: skip
+
+
+def run_cells(page, last: int, timeout: float = 180.0) -> None:
+    """Run the cells 0 .. ``last``, one after the other, and wait for the end; raises on a cell's error."""
+    page.evaluate(
+        """async last => { const p = window.jupyterapp.shell.currentWidget, c = window.jupyterapp.commands;
+          for (let i = 0; i <= last; i++) { p.content.activeCellIndex = i; p.content.deselectAll();
+            if (p.content.activeCell.model.type === 'code') await c.execute('notebook:run-cell'); } }""",
+        last,
+    )
+    page.wait_for_function(_IDLE, timeout=1000 * timeout)
+    errors = page.locator("[data-mime-type='application/vnd.jupyter.error']")
+    if errors.count():
+        raise AssertionError(errors.first.inner_text())
+
+
+def cell_with(name: str, text: str) -> int:
+    """Number of the first code cell of a notebook that contains ``text``."""
+    import nbformat
+
+    cells = nbformat.read(NOTEBOOKS / name, 4).cells
+    return next(i for i, cell in enumerate(cells) if cell.cell_type == "code" and text in cell.source)
+
+
+def pixels(locator) -> np.ndarray:
+    """(H, W, 3) int: what the browser shows there."""
+    return np.asarray(Image.open(io.BytesIO(locator.screenshot())).convert("RGB")).astype(int)
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> float:
+    """Share of pixels that differ clearly."""
+    return float((np.abs(before - after).max(axis=2) > 12).mean()) if before.shape == after.shape else 1.0
+
+
+def drag(page, parameter: str, by: float, steps: int = 10) -> None:
+    """Drag the slider of a parameter ("laplacian.w2") with the mouse, ``by`` pixels."""
+    handle = page.locator(f".adaptiveface-{parameter.replace('.', '-')} .noUi-handle").first
+    handle.scroll_into_view_if_needed()
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for k in range(1, steps + 1):
+        page.mouse.move(x + by * k / steps, y)
+        page.wait_for_timeout(30)
+    page.mouse.up()
+
+
+def wait_for_change(page, locator, before: np.ndarray, least: float = 0.005, seconds: float = 15.0) -> float:
+    """Share of pixels that changed, once it exceeds ``least``; 0 when that does not happen."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        share = changed(before, pixels(locator))
+        if share > least:
+            return share
+        page.wait_for_timeout(150)
+    return 0.0

@@ -1,0 +1,119 @@
+"""Every notebook runs clean from its first to its last cell, headless; a callback that raises fails the run.
+
+The same with ``pytest --nbmake notebooks``. The short form is used: ``ADAPTIVEFACE_NOTEBOOK_FAST=1``.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+nbformat = pytest.importorskip("nbformat", reason="the extra 'notebooks' is not installed")
+nbclient = pytest.importorskip("nbclient", reason="the extra 'test' is not installed")
+pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
+
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+
+
+@pytest.fixture(autouse=True)
+def short_and_strict(monkeypatch):
+    monkeypatch.setenv("ADAPTIVEFACE_NOTEBOOK_FAST", "1")
+    monkeypatch.setenv("ADAPTIVEFACE_STRICT", "1")
+    monkeypatch.delenv("DISPLAY", raising=False)
+
+
+def executed(cells: list[str], folder: Path, **options):
+    """Run code cells in a kernel of their own; returns the notebook with its outputs."""
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    return run(notebook, folder, **options)
+
+
+def run(notebook, folder: Path, **options):
+    resources = {"metadata": {"path": str(folder)}}
+    nbclient.NotebookClient(notebook, timeout=240, kernel_name="python3", resources=resources, **options).execute()
+    return notebook
+
+
+def text_of(notebook) -> str:
+    return "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", []))
+
+
+def test_all_notebooks_are_here():
+    assert [path.name[:2] for path in NOTEBOOKS][:9] == [f"0{k}" for k in range(9)]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_stored_clean_and_readable(path):
+    """No outputs, short cells, a title, and the one line to change for a recording."""
+    notebook = nbformat.read(path, 4)
+    nbformat.validate(notebook)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert not any(cell.outputs or cell.execution_count for cell in code)
+    assert notebook.cells[0].source.startswith("# ") and sum("SOURCE = " in cell.source for cell in code) == 1
+    assert max(len(cell.source.splitlines()) for cell in code) <= 30, "code belongs into the package"
+    text = "\n".join(cell.source for cell in notebook.cells)
+    assert "/tmp" not in text and "/work" not in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs(path):
+    notebook = run(nbformat.read(path, 4), FOLDER)
+    problems = [
+        output for cell in notebook.cells for output in cell.get("outputs", []) if output.get("name") == "stderr"
+    ]
+    assert not any("Traceback" in output.text for output in problems)
+
+
+def test_a_raising_slider_callback_fails_the_run(tmp_path):
+    cells = [
+        "from adaptiveface import views\n"
+        "def refuse(parameters):\n    raise ValueError('no such face')\n"
+        "panel = views.ParameterPanel(['laplacian'], refuse)\npanel.widget",
+        "panel['laplacian.w2'].value = 100.0",
+    ]
+    with pytest.raises(nbclient.exceptions.CellExecutionError, match="no such face"):
+        executed(cells, tmp_path)
+
+
+def test_an_error_in_the_background_fails_the_cell_that_waits(tmp_path):
+    cells = [
+        "from adaptiveface.views.kernel import BackgroundTask\n"
+        "async def work():\n    raise ValueError('late')\n"
+        "task = BackgroundTask()\ntask.start(work())",
+        "await task.finished()",
+    ]
+    with pytest.raises(nbclient.exceptions.CellExecutionError, match="late"):
+        executed(cells, tmp_path)
+
+
+def test_interrupting_a_cell_keeps_the_kernel_and_the_player(tmp_path):
+    """SIGINT while a cell works or waits, with a player running beside it."""
+    from jupyter_client.manager import start_new_kernel
+
+    manager, client = start_new_kernel(kernel_name="python3", cwd=str(tmp_path), env=dict(os.environ))
+    try:
+        client.execute_interactive(
+            "import asyncio, time\nfrom adaptiveface.views.player import Player\n"
+            "player = Player(1000, lambda index: None)\nplayer.play()",
+            output_hook=lambda message: None, timeout=60,
+        )  # fmt: skip
+        for busy in ("time.sleep(30)", "await asyncio.sleep(30)"):
+            client.execute(busy)
+            time.sleep(1.0)
+            manager.interrupt_kernel()
+            reply = client.get_shell_msg(timeout=20)
+            assert reply["content"]["status"] == "error" and manager.is_alive()
+        answers = []
+        client.execute_interactive(
+            "before = player.drawn\nawait asyncio.sleep(0.5)\nprint('playing', player.drawn > before)\nplayer.close()",
+            output_hook=lambda message: answers.append(message["content"].get("text", "")), timeout=30,
+        )  # fmt: skip
+        assert "playing True" in "".join(answers)
+    finally:
+        client.stop_channels()
+        manager.shutdown_kernel(now=True)

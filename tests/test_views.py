@@ -1,0 +1,480 @@
+"""The notebooks' panels without a browser: sliders, pictures, replay, playback, errors, what closing leaves behind."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import threading
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ipywidgets", reason="the extra 'notebooks' is not installed")
+pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
+
+import cv2  # noqa: E402
+from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame  # noqa: E402
+
+from adaptiveface import views  # noqa: E402
+from adaptiveface.errors import AdaptiveFaceError, ParameterError  # noqa: E402
+from adaptiveface.frame import FEATURE_IDS  # noqa: E402
+from adaptiveface.mesh import cotangent_laplacian, vertex_normals  # noqa: E402
+from adaptiveface.parameters import Parameters, describe  # noqa: E402
+from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
+from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study  # noqa: E402
+from adaptiveface.views.kernel import BackgroundTask, on_main_thread, shown_errors  # noqa: E402
+from adaptiveface.views.pictures import annotate  # noqa: E402
+from adaptiveface.views.session import Session  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    """Twelve noisy frames of an opening jaw, and the rig they were rendered from."""
+    actor = exact_actor()
+    name = actor.expression_names[0]
+    frames = []
+    for index in range(12):
+        shape = posed_shape(actor, coefficients(actor, **{name: 0.06 * index}))
+        shape[actor.frontal, 2] += 1.5 * np.sin(actor.neutral[actor.frontal, 1] / 12.0) * index / 12  # in no basis
+        frames.append(render_frame(actor, shape, head_pose((0, 0.01 * index, 0)), index, noise=0.5, pixel_noise=0.3))
+    return Session("jaw", frames[0].camera, frames[:2], frames, _actor=actor)
+
+
+@pytest.fixture
+def strict(monkeypatch):
+    monkeypatch.setenv("ADAPTIVEFACE_STRICT", "1")
+
+
+def decoded(image) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(image.value, np.uint8), cv2.IMREAD_COLOR).astype(int)
+
+
+# ---- parameter panel ----
+
+
+def test_panel_shows_every_parameter_with_its_default():
+    rows = describe()
+    panel = views.ParameterPanel(sorted({row["stage"] for row in rows}))
+    assert set(panel.controls) == {f"{row['stage']}.{row['name']}" for row in rows}
+    for row in rows:
+        assert panel[f"{row['stage']}.{row['name']}"].value == row["default"]
+
+
+def test_sliders_reach_both_ends_of_their_range_and_the_papers_value(strict):
+    seen = []
+    panel = views.ParameterPanel(["laplacian", "adaptive_pca"], seen.append)
+    for row in describe():
+        name = f"{row['stage']}.{row['name']}"
+        if name not in panel.controls or isinstance(row["default"], (bool, str)):
+            continue
+        for value in (row["low"], row["high"], row["paper"]):
+            if value is not None:
+                panel.set(**{name.replace(".", "__"): value})
+                assert getattr(getattr(panel.parameters, row["stage"]), row["name"]) == pytest.approx(value)
+    panel.reset()
+    assert panel.parameters == Parameters() and seen[-1] == Parameters()
+
+
+def test_paper_button_sets_the_papers_value(strict):
+    panel = views.ParameterPanel(["laplacian.w2"])
+    (button,) = [b for b in walk(panel.widget) if getattr(b, "description", "").startswith("paper")]
+    button.click()
+    assert panel.parameters.laplacian.w2 == Parameters.paper().laplacian.w2 == 100.0
+
+
+def test_a_refused_value_shows_a_message_and_keeps_the_last_good_one(monkeypatch):
+    monkeypatch.delenv("ADAPTIVEFACE_STRICT", raising=False)
+
+    def refuse_large(parameters: Parameters) -> None:
+        if parameters.laplacian.w2 > 10:
+            raise ParameterError("w2 & w1 do not go together")
+
+    panel = views.ParameterPanel(["laplacian"], refuse_large)
+    panel.set(laplacian__w2=5.0)
+    good = panel.parameters
+    panel.set(laplacian__w2=100.0)
+    assert "w2 &amp; w1 do not go together" in panel.message.value and panel.parameters is good
+    panel.set(laplacian__w2=5.0)
+    assert panel.message.value == ""
+    monkeypatch.setenv("ADAPTIVEFACE_STRICT", "1")
+    with pytest.raises(ParameterError, match="do not go together"):
+        panel["laplacian.w2"].value = 100.0
+
+
+def walk(widget):
+    yield widget
+    for child in getattr(widget, "children", ()):
+        yield from walk(child)
+
+
+# ---- pictures and charts ----
+
+
+def test_face_view_shows_heat_motion_and_camera(session):
+    actor = session.actor
+    view = views.FaceView.of(actor, ("left", "right"), limits=(0, 5), label="mm", pane=(160, 180))
+    view.refresh()
+    plain = decoded(view._image)
+    assert plain.shape == (180, 320, 3) and 20 < plain.mean() < 250 and plain.std() > 20
+    view.show(1, actor.neutral, np.full(len(actor.neutral), 5.0))
+    view.refresh()
+    hot = decoded(view._image)
+    left, right = np.abs(hot - plain)[:, :160], np.abs(hot - plain)[:, 160:]
+    assert (left > 12).mean() < 0.001 < 0.2 < (right > 12).mean()
+    b, g, r = hot[60:120, 215:265].reshape(-1, 3).mean(axis=0)
+    assert min(g, r) > b + 40, "the top of the range is yellow"
+    view.turn.value = 45.0
+    turned = np.abs(decoded(view._image) - hot).max(axis=2) > 12
+    assert turned[:, :160].mean() > 0.05 and turned[:, 160:].mean() > 0.05, "the cameras are linked"
+    view.close()
+
+
+def test_points_appear_where_they_are(session):
+    actor = session.actor
+    view = views.FaceView.of(actor, ("points",), limits=(0, 1), pane=(160, 180))
+    view.hide_head(0)
+    view.refresh()
+    empty = decoded(view._image)
+    tip = actor.neutral[actor.neutral[:, 2].argmax()]
+    for side in (-1.0, 1.0):  # the subject's left is +x, on the right of the picture
+        view.show_points(
+            0, tip + np.array([30.0 * side, 0, 0]) + np.random.default_rng(0).normal(size=(500, 3)), np.ones(500)
+        )
+        view.refresh()
+        columns = np.nonzero((np.abs(decoded(view._image) - empty).max(axis=2) > 40).any(axis=0))[0]
+        assert len(columns) and (columns > 80).all() == (side > 0) and (columns < 80).all() == (side < 0)
+    view.show_points(0, np.zeros((0, 3)))
+    view.refresh()
+    view.close()
+
+
+def test_camera_view_marks_features_and_survives_missing_ones(session):
+    frame, actor = session.frames[3], session.actor
+    annotated = annotate(frame)
+    u, v = np.round(frame.features.pixels[0]).astype(int)
+    ring = annotated[v - 4 : v + 5, u - 4 : u + 5].reshape(-1, 3).astype(int)
+    assert ((ring[:, 0] > 180) & (ring[:, 2] < 90)).any(), "a yellow ring"
+    view = views.CameraView((100, 120))
+    empty = dataclasses.replace(frame, depth=0 * frame.depth, features=None)
+    for shown in (frame, dataclasses.replace(frame, features=None), empty):
+        view.show(shown, actor.neutral + [0, 0, 600.0])
+        assert decoded(view._image).shape == (120, 100, 3)
+
+
+def test_live_chart_draws_lines_in_place_and_leaves_gaps():
+    chart = views.LiveChart(("a", "b"), (0, 10), (0, 1), "frame", "mm", size=(300, 200))
+    empty = decoded(chart._image)
+    values = np.full(11, 0.5)
+    values[3:8] = np.nan
+    chart.update(a=values)
+    drawn = np.abs(decoded(chart._image) - empty).max(axis=2) > 60
+    columns = np.nonzero(drawn.any(axis=0))[0]
+    assert 20 < len(columns) < 200 and np.diff(columns).max() > 50, "a line with a gap"
+    chart.update(a=np.zeros(0))
+    assert np.array_equal(decoded(chart._image), empty)
+
+
+# ---- replay ----
+
+
+def same(a, b) -> bool:
+    return np.array_equal(a.v4, b.v4) and np.array_equal(a.rigid, b.rigid)
+
+
+def test_replay_equals_a_plain_tracker(session):
+    replay = views.Replay(session.frames, session.actor)
+    tracker = FaceTracker(session.actor)
+    assert all(same(r, tracker.track(f)) for r, f in zip(replay.run(), session.frames, strict=True))
+    assert replay.results[-1].corrective_updates > 0
+    assert replay.model_after(11).correctives.shape[1] >= replay.model_after(2).correctives.shape[1]
+
+
+@pytest.mark.parametrize("changes", [{"laplacian__final_w2": 50.0}, {"laplacian__final_feature_weight": 0.5}])
+def test_preview_is_exact_where_earlier_frames_do_not_depend_on_the_parameter(session, changes):
+    replay, parameters = views.Replay(session.frames, session.actor), Parameters().set(**changes)
+    replay.run()
+    preview = replay.preview(parameters, 9)
+    exact = views.Replay(session.frames, session.actor, parameters).run()[9]
+    np.testing.assert_allclose(preview.v4, exact.v4, atol=1e-9)
+    assert not same(preview, replay.results[9])
+
+
+def test_preview_of_k_learns_again_from_the_earlier_frames(session):
+    replay = views.Replay(session.frames, session.actor)
+    replay.run()
+    parameters = Parameters().set(adaptive_pca__K=1)
+    exact = views.Replay(session.frames, session.actor, parameters).run()[9]
+    np.testing.assert_allclose(replay.preview(parameters, 9).v3, exact.v3, atol=1e-4)
+    before = replay.tracker.model.correctives.copy()
+    replay.preview(Parameters().set(adaptive_pca__K=3, laplacian__w2=9.0), 5)
+    assert np.array_equal(before, replay.tracker.model.correctives), "a preview leaves the learned model alone"
+
+
+CHANGES = [
+    {"blendshapes__A": 5}, {"kalman__model": "acceleration"}, {"rigid__prune": 10.0}, {"depth__smoothing": 3.0},
+    {"blendshapes__w": 1e-3},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", CHANGES)
+def test_preview_answers_for_every_stage(session, changes):
+    replay = views.Replay(session.frames, session.actor)
+    replay.run()
+    result = replay.preview(Parameters().set(**changes), 8)
+    assert result.tracked and not np.array_equal(result.v4, replay.results[8].v4)
+
+
+def test_change_recomputes_everything_in_the_background(session):
+    parameters = Parameters().set(laplacian__w2=40.0)
+
+    async def scenario() -> views.Replay:
+        finished = []
+        replay = views.Replay(session.frames, session.actor, on_result=finished.append)
+        replay.run()
+        old = replay.results[:]
+        for w2 in (7.0, 20.0, 40.0):  # a moving slider: only the last value is worth the whole performance
+            replay.change(parameters.set(laplacian__w2=w2), 6)
+            await asyncio.sleep(0.01)
+        assert not same(replay.results[6], old[6]) and replay.busy
+        await replay.finished()
+        assert finished[-12:] == list(range(12)) and len(finished) == 24
+        return replay
+
+    replay = asyncio.run(scenario())
+    expected = views.Replay(session.frames, session.actor, parameters).run()
+    assert all(same(a, b) for a, b in zip(replay.results, expected, strict=True))
+
+
+# ---- workbench and player ----
+
+
+def bench_of(session, **options) -> views.Workbench:
+    measures = views.Measures(session)
+    panes = {"v1": measures.stage("v1"), "v2": measures.difference("v2", "v1")}
+    options = {"limits": (0, 2), "label": measures.label, **options}
+    return views.Workbench(session, ["laplacian.w2", "adaptive_pca.K"], panes, [views.figure_11(session)], **options)
+
+
+def test_a_moved_slider_changes_the_picture_and_then_the_chart(session, strict):
+    async def scenario() -> None:
+        bench = bench_of(session, start=8)
+        face, chart = decoded(bench.view._image), decoded(bench.charts[0][0]._image)
+        bench.panel["laplacian.w2"].value = max(v for _, v in bench.panel["laplacian.w2"].options)
+        now = decoded(bench.view._image)
+        half = now.shape[1] // 2
+        assert (np.abs(now - face)[:, half:].max(axis=2) > 8).mean() > 0.01, "the right head, at once"
+        await bench.settled()
+        assert (np.abs(decoded(bench.charts[0][0]._image) - chart).max(axis=2) > 60).sum() > 20
+        bench.close()
+
+    asyncio.run(scenario())
+
+
+def test_player_plays_loops_pauses_and_follows_the_hand():
+    async def scenario() -> None:
+        shown = []
+        player = views.Player(10, shown.append, fps=200.0)
+        player.play()
+        await asyncio.sleep(0.5)
+        assert len(shown) > 20 and shown.count(shown[0]) >= 2, "it went round"
+        player.pause()
+        await asyncio.sleep(0.02)
+        count = len(shown)
+        player.go_to(4 if player.index != 4 else 5)
+        assert len(shown) == count + 1
+        await asyncio.sleep(0.1)
+        assert len(shown) == count + 1 and views.running_tasks() == 0
+        player.loop.value = False
+        player.button.value = True
+        await asyncio.sleep(0.3)
+        assert player.index == 9 and not player.button.value, "it stopped at the end"
+
+    asyncio.run(scenario())
+
+
+def test_learning_live_tracks_while_it_plays(session, strict):
+    async def scenario() -> None:
+        bench = bench_of(session)
+        final = bench.replay.results[-1]
+        bench.player.loop.value = False
+        bench.learn_live()
+        await asyncio.sleep(0.05)
+        assert bench.replay.done < len(session.frames)
+        while bench.player.button.value:
+            await asyncio.sleep(0.02)
+        assert bench.replay.done == len(session.frames) and same(bench.replay.results[-1], final)
+        bench.close()
+
+    asyncio.run(scenario())
+
+
+def test_closing_leaves_no_task_and_no_thread(session):
+    async def scenario() -> None:
+        before = threading.active_count()
+        bench = bench_of(session)
+        bench.player.play()
+        bench.set(laplacian__w2=20.0)
+        await asyncio.sleep(0.05)
+        assert views.running_tasks() >= 1
+        bench.close()
+        await asyncio.sleep(0.05)
+        assert views.running_tasks() == 0 and threading.active_count() == before
+
+    asyncio.run(scenario())
+
+
+def test_callbacks_of_other_threads_run_on_the_main_thread_newest_first():
+    async def scenario() -> None:
+        calls = []
+        wrapped = on_main_thread(lambda value: calls.append((value, threading.current_thread())))
+        worker = threading.Thread(target=lambda: [wrapped(value) for value in range(20)])
+        worker.start()
+        worker.join()  # the main thread is busy: the calls pile up
+        await asyncio.sleep(0.01)
+        assert calls == [(19, threading.main_thread())]
+
+    asyncio.run(scenario())
+
+
+def test_errors_are_shown_and_tasks_report_theirs(monkeypatch):
+    monkeypatch.delenv("ADAPTIVEFACE_STRICT", raising=False)
+    shown = []
+    with shown_errors(shown.append):
+        raise ValueError("<oops>")
+    assert "ValueError: &lt;oops&gt;" in shown[-1]
+
+    async def fails() -> None:
+        raise ValueError("in the background")
+
+    async def scenario() -> None:
+        task = BackgroundTask()
+        task.start(fails())
+        with pytest.raises(ValueError, match="in the background"):
+            await task.finished()
+
+    asyncio.run(scenario())
+
+
+# ---- studies ----
+
+
+def test_printed_equation_ignores_its_weights_and_the_weighted_one_does_not(session):
+    replay = views.Replay(session.frames, session.actor)
+    result, frame = replay.run()[8], session.frames[8]
+    printed = laplacian_study.PrintedEquation(session.actor, session.camera)
+    reference = printed.deform(frame, result, 0.1, 100.0)
+    assert np.linalg.norm(reference, axis=1).max() > 0.1
+    np.testing.assert_allclose(printed.deform(frame, result, 1e-4, 1e4), reference, atol=1e-9)
+    frontal, sizes = session.actor.frontal, []
+    for w2 in (0.01, 1e4):
+        deformed = replay.preview(Parameters().set(laplacian__w2=w2), 8)
+        sizes.append(np.linalg.norm((deformed.v2 - deformed.v1)[frontal], axis=1).mean())
+    assert sizes[0] > 5 * sizes[1]
+
+
+def test_printed_equation_solves_the_stacked_rows_without_weights(session):
+    """The normal equations of K dv = G^-1 a hold, with the rows of eqs. (3), (4) and (6) written out here anew."""
+    actor, frame = session.actor, session.frames[8]
+    result = views.Replay(session.frames[:9], actor).run()[8]
+    solution = (
+        laplacian_study.PrintedEquation(actor, frame.camera).deform(frame, result, 0.1, 100.0) @ result.rigid[:3, :3].T
+    )
+    frontal, vertices = np.flatnonzero(actor.frontal), result.in_camera(result.v1[actor.frontal])
+    u, v = np.round(frame.camera.project(vertices)).astype(int).T
+    ratio = frame.depth[v, u] / vertices[:, 2]
+    use = (np.abs(ratio - 1) * vertices[:, 2] < 15.0) & actor.depth_valid[actor.frontal]
+    to_depth = np.where(use[:, None], vertices * (ratio - 1)[:, None], 0.0)
+    smooth = cotangent_laplacian(actor.neutral, actor.triangles)[:, frontal]
+    gradient = solution - to_depth + smooth.T @ (smooth @ solution)
+    for j, vertex in enumerate(np.searchsorted(frontal, actor.feature_vertices)):
+        offset = frame.features.pixels[j] - frame.camera.project(vertices[vertex])
+        target = np.append(offset * to_depth[vertex, 2], to_depth[vertex, 2])  # H_j^-1 d_j
+        focal = np.array([frame.camera.fx, frame.camera.fy, 1.0])
+        gradient[vertex] += focal * (focal * solution[vertex] - target)
+    assert np.abs(gradient).max() < 1e-6
+
+
+def test_hole_removes_depth_at_the_mouth_corner(session):
+    pierced = laplacian_study.with_hole(session, 20.0)
+    frame, whole = pierced.frames[4], session.frames[4]
+    u, v = np.round(whole.features.pixels[list(FEATURE_IDS).index(54)]).astype(int)
+    gone = (whole.depth > 0) & (frame.depth == 0)
+    assert frame.depth[v, u] == 0 and 500 < gone.sum() < 3000
+    assert FaceTracker(session.actor).track(frame).tracked
+
+
+def test_incremental_correctives_lie_near_the_batch_pca(session):
+    replay = views.Replay(
+        session.frames * 3, session.actor, Parameters().set(adaptive_pca__K=2, adaptive_pca__valid_min=0.01)
+    )
+    replay.run()
+    samples = pca_study.learned_samples(replay, 35)
+    assert len(samples) > 20
+    assert pca_study.angle_to_batch(replay.tracker.model, samples) < 8.0
+    assert np.isnan(pca_study.angle_to_batch(FaceTracker(session.actor).model, samples))
+
+
+def test_icp_study_converges_on_the_true_pose():
+    actor = exact_actor()
+    frame, goal = render_frame(actor, actor.neutral, head_pose(), noise=0.3), head_pose()
+    keep = actor.frontal & actor.depth_valid
+    normals = vertex_normals(actor.neutral, actor.triangles)[keep]
+    start = rigid_study.displaced(goal, actor.neutral[keep].mean(axis=0), 10.0, 8.0)
+    run = rigid_study.run_icp(frame, actor.neutral[keep], normals, start, 25.0)
+    assert run.residuals[0] > 3.0 > 0.5 > run.residuals[-1] and len(run.poses) == 13
+    assert rigid_study.rotation_angle(run.poses[0], goal) == pytest.approx(8.0, abs=1e-6)
+    assert rigid_study.rotation_angle(run.poses[-1], goal) < 0.3
+    assert np.linalg.norm(run.poses[-1][:3, 3] - goal[:3, 3]) < 1.0
+
+
+def test_fit_problem_bounded_beats_clipped(session):
+    result = views.Replay(session.frames, session.actor).run()[10]
+    problem = fit_study.fit_problem(session.actor, session.frames[10], result, Parameters.paper().blendshapes)
+    bounded = problem.bounded()
+    assert problem.energy(problem.unbounded()) <= problem.energy(bounded) < problem.energy(problem.clipped())
+    assert bounded.min() >= 0 and bounded.max() <= 1
+    assert bounded[0] == pytest.approx(0.6, abs=0.15), "the jaw that the frame was rendered with"
+
+
+def test_jitter_and_lag():
+    t = np.arange(60)[:, None]
+    smooth = np.sin(t / 6.0)
+    late = np.roll(smooth, 4, axis=0)
+    assert fit_study.lag(late, smooth) == 4 and fit_study.lag(smooth, smooth) == 0
+    assert fit_study.jitter(smooth + 0.1 * (-1.0) ** t) > 10 * fit_study.jitter(smooth)
+
+
+def test_sweep_fills_its_chart(session):
+    chart = views.GridChart((0, 2), (5, 20), "K", "S", "error")
+    values = pipeline_study.sweep(session, {"adaptive_pca.K": (0, 2)}, {"adaptive_pca.S": (5, 20)}, chart)
+    assert np.isfinite(values).all() and np.array_equal(values, chart.values)
+    assert values[0, 0] == values[0, 1], "without correctives the buffer does not matter"
+
+
+# ---- session ----
+
+
+def test_session_is_cached_and_a_damaged_cache_is_made_anew(tmp_path):
+    first = views.load_session("synthetic:3", neutral_frames=2, frames=4, cache=tmp_path)
+    again = views.load_session("synthetic:3", neutral_frames=2, frames=4, cache=tmp_path)
+    (file,) = tmp_path.glob("*.npz")
+    file.write_bytes(file.read_bytes()[:5000])
+    mended = views.load_session("synthetic:3", neutral_frames=2, frames=4, cache=tmp_path)
+    for other in (again, mended):
+        assert len(other) == 6 and len(other.neutral) == 2
+        for a, b in zip(first.frames, other.frames, strict=True):
+            assert np.array_equal(a.depth, b.depth) and np.array_equal(a.colour, b.colour)
+            np.testing.assert_array_equal(a.features.pixels, b.features.pixels)
+    truth = first.truth[first.frames[2].index]
+    assert truth.performance == 1 and len(truth.vertices) == len(first.truth.neutral)
+    assert first.frames[0].depth[first.frames[0].depth > 0].min() > 300
+
+
+def test_session_from_a_recording(tmp_path):
+    from recordings import talking_head
+
+    talking_head(tmp_path / "take", frames=8)
+    session = views.load_session(str(tmp_path / "take"), neutral_frames=3, frames=4)
+    assert len(session.neutral) == 3 and len(session.frames) == 4 and session.truth is None
+    with pytest.raises(AdaptiveFaceError, match="more than the 8 neutral ones"):
+        views.load_session(str(tmp_path / "take"), neutral_frames=8)
