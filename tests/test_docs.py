@@ -85,7 +85,7 @@ def test_every_link_between_pages_and_every_picture_exists():
 
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path):
-    for name in ("sphinx", "myst_nb", "furo"):
+    for name in ("sphinx", "myst_nb", "furo", "latex2mathml"):
         pytest.importorskip(name)
     folders = ["-d", str(tmp_path / "doctrees"), str(DOCS), str(tmp_path / "site")]
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", *folders]
