@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from .camera import Camera
+from .mesh import vertex_normals
 
 #: Triangles with a vertex nearer than this are left out, mm.
 NEAR = 10.0
@@ -155,30 +156,6 @@ def gather(values: np.ndarray, triangles: np.ndarray, triangle: np.ndarray, weig
     return _gather(np.ascontiguousarray(values), triangles[triangle], np.ascontiguousarray(weights))
 
 
-@numba.njit(cache=True)
-def _accumulate_normals(vertices, triangles, normals):
-    for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        for i in (a, b, c):
-            normals[i, 0] += x
-            normals[i, 1] += y
-            normals[i, 2] += z
-    for i in range(len(normals)):
-        length = math.sqrt(normals[i, 0] ** 2 + normals[i, 1] ** 2 + normals[i, 2] ** 2)
-        if length > 1e-12:
-            normals[i] /= length
-
-
-def smooth_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N, 3) unit vertex normals as ``mesh.vertex_normals`` (tested equal), fast on meshes that change every frame."""
-    normals = np.zeros((len(vertices), 3))
-    _accumulate_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int64), normals)
-    return normals
-
-
 @dataclass(frozen=True)
 class Light:
     """Soft ambient light, a light at the camera and one key light; the shares are those of a matt white surface.
@@ -224,7 +201,7 @@ def illuminate(
     vertices (N, 3) in the camera frame, triangles (T, 3): the mesh of the hits; albedo (P, 3) or (3,) in 0..255; gloss:
     factor of the specular light, a number or (P,).
     """
-    normals = hits.interpolate(smooth_normals(vertices, triangles), triangles)
+    normals = hits.interpolate(vertex_normals(vertices, triangles), triangles)
     v, u = np.nonzero(hits.mask)
     u0, v0 = hits.window[:2]
     ray = np.stack([(u + u0 - camera.cx) / camera.fx, (v + v0 - camera.cy) / camera.fy, np.ones(len(u))], axis=1)

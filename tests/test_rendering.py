@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from adaptiveface.camera import Camera
-from adaptiveface.mesh import vertex_normals
-from adaptiveface.rendering import Light, covering_window, heat_map, picture, ray_cast, shade, smooth_normals
+from adaptiveface.mesh import triangle_normals, vertex_normals
+from adaptiveface.rendering import Light, covering_window, heat_map, picture, ray_cast, shade
 from adaptiveface.synthetic.scene import unit_sphere
 
 CAMERA = Camera(64, 48, 80.0, 82.0, 30.7, 24.2)
@@ -98,9 +98,13 @@ def test_what_lies_behind_the_camera_is_not_seen():
     assert ray_cast(CAMERA, off_side, triangles, (u0, v0, u1, v1)).mask.sum() == 0
 
 
-def test_smooth_normals_equal_the_mesh_module():
+def test_vertex_normals_are_the_area_weighted_means():
     vertices, triangles = ball()
-    np.testing.assert_allclose(smooth_normals(vertices, triangles), vertex_normals(vertices, triangles), atol=1e-12)
+    expected = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(expected, triangles[:, k], triangle_normals(vertices, triangles))
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(vertex_normals(vertices, triangles), expected, atol=1e-12)
 
 
 def test_shading_is_brightest_where_the_surface_faces_the_camera():

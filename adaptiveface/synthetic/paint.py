@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from ..camera import Camera
-from ..mesh import surface_points
-from ..rendering import Hits, Light, gather, illuminate, smooth_normals
+from ..mesh import surface_points, vertex_normals
+from ..rendering import Hits, Light, gather, illuminate
 from .makeup import BLUSH, BROWS, FRECKLES, HAIR, LASHES, LIPS, TEXTURE, make_makeup
 from .scene import EYES, MOUTH, SKIN, TORSO, Scene
 
@@ -32,7 +32,7 @@ class Painter:
         self._shirt = rng.uniform(40, 190, 3)
         self._freckled = rng.uniform(0.0, 0.35)
         neutral = performer.surface(np.zeros(len(performer.expression_names)))
-        normals = smooth_normals(neutral, performer.surface_triangles)
+        normals = vertex_normals(neutral, performer.surface_triangles)
         model = performer.model
         landmarks = surface_points(performer.neutral, model.feature_triangles, model.feature_weights)
         lids = [performer.neutral[loop] for loop in performer.lid_loops]

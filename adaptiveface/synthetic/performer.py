@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..face_model import FaceModel, embedded_face_model
-from ..mesh import surface_points
-from ..rendering import smooth_normals
+from ..mesh import surface_points, vertex_normals
 from .contacts import Contact, EyeballContact, boundary_loops, make_contact, make_eyeball_contact, rings, sides
 from .folds import make_folds
 from .personal import identity_detail, make_interactions, make_jaw_hinge, path_bends, personal_units
@@ -52,7 +51,7 @@ class Performer:
         dense = self.surface(np.zeros(len(self.expression_names)))
         self.neutral = dense[:n]
         landmarks = surface_points(self.neutral, self.model.feature_triangles, self.model.feature_weights)
-        normals = smooth_normals(dense, self.surface_triangles)
+        normals = vertex_normals(dense, self.surface_triangles)
         if folds:
             self._folds = make_folds(rng, dense, normals, landmarks, self.expression_names)
 
