@@ -16,7 +16,7 @@ from adaptiveface.export.animation import AnimatedMesh
 from adaptiveface.export.gltf import read_glb_animation, write_glb
 from adaptiveface.retargeting.character import Character, load_character
 
-MUTATIONS, LONGEST_S = 320, 2.0
+MUTATIONS, LONGEST_S = 600, 2.0
 
 
 def small_character() -> Character:

@@ -192,6 +192,8 @@ def read_glb_animation(path: str | os.PathLike) -> AnimatedMesh:
             sampler = file.items("animations")[0]["samplers"][channel["sampler"]]
             times = file.accessor(sampler["input"]).astype(float)[:, 0]
             curves[channel["target"]["path"]] = file.accessor(sampler["output"]).astype(float)
+        if not {"rotation", "translation"} <= curves.keys():
+            raise file.error("its animation does not move the head")
         neutral = file.accessor(primitive["attributes"]["POSITION"]).astype(float)
         targets = [file.accessor(t["POSITION"], len(neutral)).astype(float) for t in primitive.get("targets", ())]
         rigid = np.tile(np.eye(4), (len(times), 1, 1))
