@@ -1,0 +1,77 @@
+"""Measure in a real browser how the notebooks feel: ``python tests/browser/measure.py``.
+
+Prints the median time from a slider's movement to the new picture on the page, and the pictures per second of a playback
+that learns. On synthetic input, with software rendering; the machine's load is printed beside them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import statistics
+import tempfile
+from pathlib import Path
+
+import lab
+
+STEPS, SECONDS = 25, 8.0
+
+#: Moves a slider by one key press and waits for the next picture of the face; returns milliseconds.
+_STEP = """async ([slider, key]) => {
+  const handle = document.querySelector(slider + ' .noUi-handle'), before = window.loads.face.length;
+  handle.focus();
+  const start = performance.now();
+  handle.dispatchEvent(new KeyboardEvent('keydown', {key, bubbles: true, cancelable: true}));
+  while (window.loads.face.length === before && performance.now() - start < 5000) await new Promise(r => setTimeout(r, 1));
+  return window.loads.face.length > before ? window.loads.face[before] - start : NaN; }"""
+
+
+def slider_to_pixels(page, parameter: str) -> list[float]:
+    """Milliseconds from a key press on a slider to the face's new picture, ``STEPS`` times."""
+    times = []
+    # The last frame, where everything has been learned.
+    page.evaluate(_STEP, [".adaptiveface-frame", "End"])
+    for step in range(STEPS):
+        key = "ArrowLeft" if step % 10 < 5 else "ArrowRight"
+        times.append(page.evaluate(_STEP, [f".adaptiveface-{parameter.replace('.', '-')}", key]))
+        page.wait_for_timeout(700)  # the background run, too, draws: start from rest
+    return times
+
+
+def playback_rate(page, button: str) -> float:
+    """Pictures per second that the browser decodes while the performance plays."""
+    page.evaluate("() => { window.loads.face = []; }")
+    page.locator(button).first.click()
+    page.wait_for_timeout(1000 * SECONDS)
+    times = page.evaluate("() => window.loads.face")
+    page.locator(".adaptiveface-play").first.click()
+    return (len(times) - 1) / (times[-1] - times[0]) * 1000
+
+
+def main() -> None:
+    names = ("05_laplacian_deformation.ipynb", "06_incremental_pca.ipynb")
+    with tempfile.TemporaryDirectory() as folder, lab.jupyter_lab(Path(folder), names) as address:
+        for name, parameter in zip(names, ("laplacian.w2", "adaptive_pca.K"), strict=True):
+            with lab.chromium_page() as page:
+                lab.open_notebook(page, address, name)
+                lab.run_cells(page, lab.cell_with(name, "views.Workbench("))
+                page.wait_for_timeout(3000)
+                times = slider_to_pixels(page, parameter)
+                same = sum(map(math.isnan, times))  # the picture did not change: nothing was sent
+                times = sorted(time for time in times if not math.isnan(time))
+                load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+                print(
+                    f"{name}: {parameter} to pixels: median {statistics.median(times):.0f} ms, "
+                    f"90th percentile {times[int(0.9 * len(times))]:.0f} ms ({len(times)} steps, {same} without change, {load})"
+                )
+                for button, what in (
+                    (".adaptiveface-play", "playback"),
+                    (".adaptiveface-live", "playback that learns"),
+                ):
+                    page.wait_for_timeout(1500)
+                    rate = playback_rate(page, button)
+                    print(f"{name}: {what}: {rate:.1f} pictures/s (load {os.getloadavg()[0]:.1f})", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""JupyterLab in a real browser: sliders dragged with the mouse change the face and the charts, playback advances."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+pytest.importorskip("jupyterlab", reason="the extra 'notebooks' is not installed")
+pytest.importorskip("playwright", reason="playwright is not installed")
+
+import lab  # noqa: E402
+
+if lab.CHROMIUM is None:
+    pytest.skip(
+        "no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True
+    )
+
+LAPLACIAN, PCA = "05_laplacian_deformation.ipynb", "06_incremental_pca.ipynb"
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    with lab.jupyter_lab(tmp_path_factory.mktemp("lab"), (LAPLACIAN, PCA)) as address:
+        yield address
+
+
+@pytest.fixture
+def page():
+    with lab.chromium_page() as page:
+        yield page
+
+
+def workbench(page, address: str, name: str):
+    """Open a notebook, run it up to its first workbench; returns the face's and the first chart's picture."""
+    lab.open_notebook(page, address, name)
+    lab.run_cells(page, lab.cell_with(name, "views.Workbench("))
+    face, chart = page.locator("img.adaptiveface-face").first, page.locator("img.adaptiveface-chart").first
+    face.wait_for(state="visible", timeout=60_000)
+    chart.wait_for(state="visible", timeout=30_000)
+    page.wait_for_timeout(1500)
+    shown = lab.pixels(face)
+    assert shown.std() > 15 and shown.mean() > 60, "the face is blank or black"
+    return face, chart
+
+
+def check_drag(page, face, chart, parameter: str, by: float) -> None:
+    """Drag a slider: first the face changes, then the chart, and nothing turns black."""
+    before_face, before_chart = lab.pixels(face), lab.pixels(chart)
+    lab.drag(page, parameter, by)
+    assert lab.wait_for_change(page, face, before_face) > 0.005, f"{parameter} does not change the face"
+    assert lab.wait_for_change(page, chart, before_chart, least=0.0005) > 0.0005, (
+        f"{parameter} does not change the chart"
+    )
+    after = lab.pixels(face)
+    assert after.std() > 15 and after.mean() > 60, "the face went black: drawn on the wrong thread?"
+
+
+def check_playback(page, button: str) -> None:
+    """A click on a button starts a playback that draws pictures; another one on "play" stops it."""
+    page.evaluate("() => { window.loads.face = []; }")
+    page.locator(button).first.click()
+    page.wait_for_timeout(4000)
+    drawn = page.evaluate("() => window.loads.face.length")
+    page.locator(".adaptiveface-play").first.click()
+    assert drawn > 20, f"only {drawn} pictures in four seconds"
+    page.wait_for_timeout(1500)
+    resting = page.evaluate("() => window.loads.face.length")
+    page.wait_for_timeout(1000)
+    assert page.evaluate("() => window.loads.face.length") == resting, "it went on after the pause"
+
+
+@pytest.mark.slow
+def test_laplacian_sliders_and_playback(page, address):
+    face, chart = workbench(page, address, LAPLACIAN)
+    check_drag(page, face, chart, "laplacian.w2", 90)
+    check_playback(page, ".adaptiveface-play")
+    assert page.problems == []
+
+
+@pytest.mark.slow
+def test_pca_sliders_and_live_learning(page, address):
+    face, chart = workbench(page, address, PCA)
+    check_drag(page, face, chart, "adaptive_pca.K", -120)
+    check_playback(page, ".adaptiveface-live")
+    assert page.problems == []
