@@ -33,3 +33,31 @@ class TrackingError(AdaptiveFaceError):
 
 class MissingExtraError(AdaptiveFaceError, ImportError):
     """An optional dependency is not installed; the message holds the exact pip line."""
+
+
+class SensorError(AdaptiveFaceError):
+    """Base class of what a live sensor reports; a vendor's own exception never leaves its driver."""
+
+
+class SensorNotFoundError(SensorError):
+    """No sensor of that kind (or with that serial number) is connected."""
+
+
+class SensorTimeoutError(SensorError):
+    """The sensor is connected but sent no new frame in time."""
+
+
+class SensorDisconnectedError(SensorError):
+    """The sensor was unplugged or stopped answering; it is opened again as soon as it is back."""
+
+
+class EndOfRecording(SensorError):  # noqa: N818 - the regular end of a recording, not a failure
+    """A recording that plays as a sensor has no more frames."""
+
+
+class DriverMissingError(SensorError, MissingExtraError):
+    """The vendor's library is not installed; the message holds the exact pip line."""
+
+
+class RecordingError(AdaptiveFaceError):
+    """A recording could not be written on (the disk is full, ...); what was written before stays."""

@@ -1,6 +1,7 @@
-"""Where frames come from: recordings on disk, the synthetic sensor.
+"""Where frames come from: recordings on disk, the synthetic sensor, live sensors.
 
-Every source has the same small interface, :class:`FrameSource`; :func:`open_source` turns the text that a user typed
+:func:`open_sensor` opens a live sensor, whose ``read`` waits for the newest frame. A source has numbered frames, and
+all have the same small interface, :class:`FrameSource`; :func:`open_source` turns the text that a user typed
 into one. A source's ``read`` raises :class:`adaptiveface.errors.FrameError` for a frame that cannot be used.
 """
 
@@ -13,6 +14,8 @@ from ..camera import Camera
 from ..errors import FileFormatError, ParameterError
 from ..frame import RgbdFrame
 from ..synthetic.noise import DEPTH_SCALES
+from .catalogue import SensorInfo, list_sensors, open_sensor
+from .live import LiveFrame, LiveSensor
 from .recording import Recording, RecordingWriter
 
 NOISES = tuple(DEPTH_SCALES)
@@ -68,4 +71,15 @@ def _synthetic(text: str) -> FrameSource:
     return SyntheticSensor(seed=int(seed or 0), noise=noise or NOISES[0])
 
 
-__all__ = ["NOISES", "FrameSource", "Recording", "RecordingWriter", "open_source"]
+__all__ = [
+    "NOISES",
+    "FrameSource",
+    "LiveFrame",
+    "LiveSensor",
+    "Recording",
+    "RecordingWriter",
+    "SensorInfo",
+    "list_sensors",
+    "open_sensor",
+    "open_source",
+]

@@ -1,0 +1,68 @@
+"""Which live sensors there are, and the one that a text names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import ParameterError, SensorError
+from .live import LiveSensor
+from .playback import EXPRESSION_FRAMES, NEUTRAL_FRAMES, PlaybackDriver, SyntheticDriver
+
+
+@dataclass(frozen=True)
+class SensorInfo:
+    """``name`` for :func:`open_sensor`; ``description``; ``state``: "ready", or why it cannot be opened now."""
+
+    name: str
+    description: str
+    state: str = "ready"
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can be opened now."""
+        return self.state == "ready"
+
+
+def _synthetic(argument: str) -> LiveSensor:
+    from ..synthetic.sensor import SyntheticSensor
+    from . import NOISES
+
+    seed, _, noise = argument.partition(":")
+    if seed and not (seed.isascii() and seed.isdecimal() and len(seed) <= 9):
+        raise ParameterError(f"synthetic:{argument}: the seed {seed!r} is not a whole number of at most 9 digits")
+    if noise and noise not in NOISES:
+        raise ParameterError(f"synthetic:{argument}: unknown noise {noise!r}; possible: {', '.join(NOISES)}")
+    source = SyntheticSensor(int(seed or 0), noise or NOISES[0], NEUTRAL_FRAMES, EXPRESSION_FRAMES, repeats=1)
+    frames: list = []
+    return LiveSensor(lambda: SyntheticDriver(source, frames), open_timeout=180.0)
+
+
+_KINDS = {"synthetic": _synthetic}
+POSSIBLE = "possible sensors: 'synthetic[:SEED[:NOISE]]', or the path of a recording"
+
+
+def list_sensors() -> list[SensorInfo]:
+    """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
+    return [SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")]
+
+
+def open_sensor(text: str) -> LiveSensor:
+    """Open the sensor or recording named by ``text``; a recording plays every frame, as fast as it is read.
+
+    Raises :class:`SensorError` (not found, driver not installed, ...), :class:`ParameterError` or
+    :class:`FileFormatError`.
+    """
+    kind, _, argument = text.partition(":")
+    if kind in _KINDS:
+        return _KINDS[kind](argument)
+    if Path(text).exists():
+        return _open_path(Path(text))
+    raise SensorError(f"{text}: no such sensor or recording; {POSSIBLE}")
+
+
+def _open_path(path: Path) -> LiveSensor:
+    from . import open_source
+
+    source = open_source(str(path))
+    return LiveSensor(lambda: PlaybackDriver(source), reconnect=False)

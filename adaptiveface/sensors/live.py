@@ -1,0 +1,288 @@
+"""A live sensor: one thread owns the vendor's library, the reader gets the newest frame and never a stale one.
+
+A :class:`Driver` is the part that differs between sensors. :class:`LiveSensor` runs it in a thread of its own, checks
+what it delivers, opens it again after it was unplugged, and hands the frames over.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import (
+    AdaptiveFaceError,
+    EndOfRecording,
+    SensorDisconnectedError,
+    SensorError,
+    SensorTimeoutError,
+)
+from ..frame import Features2D, RgbdFrame
+
+#: Longest a driver may wait for a frame, s: closing has to stay responsive.
+POLL_SECONDS = 0.1
+#: Longest :meth:`LiveSensor.close` waits for the vendor's library, s. What takes longer ends in the background.
+CLOSE_SECONDS = 0.4
+#: Pause between two attempts to open a sensor again, s.
+RECONNECT_SECONDS = 0.25
+#: A device's frame number that falls back by more than this is a counter that started over, not a late frame.
+RESTART_GAP = 100
+
+
+@dataclass(frozen=True)
+class LiveFrame(RgbdFrame):
+    """A frame of a live sensor; it owns its arrays.
+
+    ``index`` counts the frames handed out; ``timestamp`` is the device's clock, s; ``host_timestamp`` the arrival on
+    ``time.perf_counter``, s; ``sequence`` the device's frame number; ``dropped`` how many frames of this sensor were
+    never handed out until now: lost by the device, replaced by a newer one, or too old.
+    """
+
+    host_timestamp: float = 0.0
+    sequence: int = 0
+    dropped: int = 0
+
+    @property
+    def device_timestamp(self) -> float:
+        """Seconds on the device's clock."""
+        return self.timestamp
+
+    @property
+    def age(self) -> float:
+        """Seconds since the frame arrived."""
+        return time.perf_counter() - self.host_timestamp
+
+
+@dataclass(frozen=True)
+class RawFrame:
+    """What a driver delivers: ``depth`` (H, W) mm of any dtype, ``colour`` (H, W, 3) uint8 RGB aligned to it or None.
+
+    Arrays may be views of the vendor's memory, valid until the driver is called again; they are copied at once.
+    """
+
+    depth: np.ndarray
+    camera: Camera
+    colour: np.ndarray | None
+    sequence: int
+    timestamp: float
+    features: Features2D | None = None
+
+
+class Driver(Protocol):
+    """One vendor's library behind one small interface; every method is called from the same thread.
+
+    ``name`` for titles; ``live``: frames that nobody reads are replaced by newer ones (False for files, which wait);
+    ``has_features``: frames bring 2D features; ``depth_scale``: units per metre in which depth is measured; ``fps``.
+    """
+
+    name: str
+    live: bool
+    has_features: bool
+    depth_scale: float
+    fps: float
+
+    def open(self) -> None:
+        """Start streaming. Raises :class:`SensorError`."""
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The next frame, or None when there is none within ``timeout`` seconds.
+
+        Raises :class:`SensorDisconnectedError` or :class:`EndOfRecording`.
+        """
+
+    def close(self) -> None:
+        """Stop and release everything; also after a failed :meth:`open`."""
+
+
+class LiveSensor:
+    """Frames of one sensor; a context manager, and an iterator until the end of the recording or :meth:`close`.
+
+    ``make_driver`` returns a fresh driver, also for each reconnection; ``max_age`` s: an older frame is dropped rather
+    than handed out; ``reconnect``: open the sensor again after it was unplugged; ``open_timeout`` s. Raises the error
+    with which the driver could not be opened.
+    """
+
+    def __init__(
+        self,
+        make_driver: Callable[[], Driver],
+        max_age: float = 0.5,
+        reconnect: bool = True,
+        open_timeout: float = 30.0,
+    ) -> None:
+        self._make_driver, self.max_age, self.reconnect = make_driver, max_age, reconnect
+        self._driver = make_driver()
+        self.name, self.live = self._driver.name, self._driver.live
+        self.fps, self.depth_scale = self._driver.fps, self._driver.depth_scale
+        self.has_features = self._driver.has_features
+        self.dropped, self.discarded = 0, 0  #: frames never handed out; of them unusable, repeated or out of order
+        self._changed = threading.Condition()
+        self._slot: LiveFrame | None = None
+        self._error: AdaptiveFaceError | None = None
+        self._connected = self._opened = self._closed = False
+        self._handed_out = 0
+        self._last: int | None = None
+        self._thread = threading.Thread(target=self._run, name=f"sensor {self.name}", daemon=True)
+        self._thread.start()
+        with self._changed:
+            self._changed.wait_for(lambda: self._opened or self._error, open_timeout)
+            opened, error = self._opened, self._error
+        if not opened:
+            self.close()
+            raise error or SensorTimeoutError(f"{self.name}: did not start within {open_timeout:g} s; plug it in again")
+
+    def read(self, timeout: float = 1.0) -> LiveFrame:
+        """The newest frame that was not handed out yet, waiting up to ``timeout`` s for it.
+
+        Raises :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
+        :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor failed with.
+        """
+        deadline = time.perf_counter() + timeout
+        with self._changed:
+            while True:
+                if self._closed:
+                    raise SensorError(f"{self.name}: the sensor is closed")
+                frame = self._take()
+                if frame is not None:
+                    return frame
+                if self._error is not None:
+                    error = self._error
+                    if isinstance(error, SensorDisconnectedError) and self.reconnect:
+                        self._error = None  # said once; from now on there is hope until the time is over
+                    raise error
+                left = deadline - time.perf_counter()
+                if left <= 0:
+                    raise self._overdue(timeout)
+                self._changed.wait(left)
+
+    def close(self) -> None:
+        """Stop the thread and release the sensor, within half a second; calling it again does nothing."""
+        with self._changed:
+            self._closed, self._slot = True, None
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(CLOSE_SECONDS)
+
+    def __enter__(self) -> LiveSensor:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[LiveFrame]:
+        while not self._closed:
+            try:
+                yield self.read()
+            except EndOfRecording:
+                return
+
+    def _take(self) -> LiveFrame | None:
+        frame, self._slot = self._slot, None
+        if frame is None:
+            return None
+        self._changed.notify_all()  # a file goes on reading
+        if self.live and frame.age > self.max_age:
+            self.dropped += 1
+            return None
+        self._handed_out += 1
+        values = {**vars(frame), "index": self._handed_out - 1, "dropped": self.dropped}
+        return LiveFrame(**values)
+
+    def _overdue(self, timeout: float) -> SensorError:
+        if not self._connected:
+            return SensorDisconnectedError(f"{self.name}: disconnected; waiting for it to come back")
+        return SensorTimeoutError(f"{self.name}: no new frame within {timeout:g} s")
+
+    # ---- the sensor's thread ---------------------------------------------------------------------------------------
+    def _run(self) -> None:
+        driver: Driver | None = self._driver
+        while not self._closed:
+            try:
+                driver = driver or self._make_driver()
+                driver.open()
+                self._last = None  # a sensor that comes back counts from the start
+                self._set(connected=True)
+                self._pump(driver)
+            except Exception as error:  # whatever a vendor's library raises ends here
+                final = not self._opened or not self.reconnect or isinstance(error, EndOfRecording)
+                if self._connected or final:
+                    self._set(connected=False, error=self._translate(error))
+                if final:
+                    return
+            finally:
+                _close_quietly(driver)
+                driver = None
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, RECONNECT_SECONDS)
+
+    def _pump(self, driver: Driver) -> None:
+        while not self._closed:
+            raw = driver.grab(POLL_SECONDS)
+            if raw is not None:
+                self._publish(raw)
+
+    def _publish(self, raw: RawFrame) -> None:
+        behind = None if self._last is None else self._last - raw.sequence
+        if (behind is not None and 0 <= behind <= RESTART_GAP) or not _usable(raw):
+            self.discarded += 1
+            self.dropped += 1
+            return
+        lost = max(-behind - 1, 0) if behind is not None and behind < 0 else 0
+        self._last = raw.sequence
+        frame = _live_frame(raw)
+        with self._changed:
+            if not self.live:
+                self._changed.wait_for(lambda: self._slot is None or self._closed)
+            self.dropped += lost + (self._slot is not None)
+            self._slot = None if self._closed else frame
+            self._changed.notify_all()
+
+    def _set(self, connected: bool, error: AdaptiveFaceError | None = None) -> None:
+        with self._changed:
+            if not connected and not self.live:
+                self._changed.wait_for(lambda: self._slot is None or self._closed)
+            elif not connected:
+                self._slot = None  # a frame from before the unplugging is not what the sensor sees now
+            self._connected, self._error = connected, error
+            self._opened |= connected
+            self._changed.notify_all()
+
+    def _translate(self, error: Exception) -> AdaptiveFaceError:
+        if isinstance(error, AdaptiveFaceError):
+            return error
+        reason = str(error) or type(error).__name__
+        kind = SensorDisconnectedError if self._connected else SensorError
+        translated = kind(f"{self.name}: the driver failed ({reason})")
+        translated.__cause__ = error
+        return translated
+
+
+def _close_quietly(driver: Driver | None) -> None:
+    """A library whose sensor is gone often fails once more while it is torn down; that is not news."""
+    try:
+        if driver is not None:
+            driver.close()
+    except Exception:  # noqa: BLE001
+        pass
+
+
+def _usable(raw: RawFrame) -> bool:
+    size = (raw.camera.height, raw.camera.width)
+    return raw.depth.shape == size and (raw.colour is None or raw.colour.shape == (*size, 3))
+
+
+def _live_frame(raw: RawFrame) -> LiveFrame:
+    """Arrays of its own; NaN, infinite and negative depth become 0, no measurement."""
+    depth = np.array(raw.depth, np.float32)
+    depth[~((depth > 0) & (depth < np.inf))] = 0
+    colour = None if raw.colour is None else np.array(raw.colour, np.uint8)
+    timestamp = float(raw.timestamp) if math.isfinite(raw.timestamp) else time.perf_counter()
+    return LiveFrame(
+        depth, raw.camera, colour, 0, timestamp, raw.features,
+        host_timestamp=time.perf_counter(), sequence=int(raw.sequence),
+    )  # fmt: skip

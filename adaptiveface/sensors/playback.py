@@ -1,0 +1,88 @@
+"""Sources with numbered frames as drivers: recordings that play from start to end, and the synthetic live sensor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ..errors import EndOfRecording, FrameError
+from ..frame import RgbdFrame
+from .live import RawFrame
+
+#: The live synthetic performance: a neutral scan and expressions, rendered once and played forth and back.
+NEUTRAL_FRAMES, EXPRESSION_FRAMES = 20, 70
+
+
+def raw_frame(frame: RgbdFrame, sequence: int, timestamp: float) -> RawFrame:
+    """``frame`` as a driver delivers it."""
+    return RawFrame(frame.depth, frame.camera, frame.colour, sequence, timestamp, frame.features)
+
+
+class PlaybackDriver:
+    """Plays a source with numbered frames as fast as it is read; broken frames count as lost by the device."""
+
+    live = False
+
+    def __init__(self, source) -> None:
+        self.source, self.name = source, source.name
+        self.fps, self.depth_scale = getattr(source, "fps", 30.0), getattr(source, "depth_scale", 10_000.0)
+        self.has_features = getattr(source, "has_features", False)
+
+    def open(self) -> None:
+        """Start at the first frame."""
+        self._next = 0
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The next frame; None for a broken one."""
+        if self._next >= len(self.source):
+            raise EndOfRecording(f"{self.name}: the recording ends after {len(self.source)} frames")
+        index, self._next = self._next, self._next + 1
+        try:
+            frame = self.source.read(index)
+        except FrameError:
+            return None
+        return raw_frame(frame, index, frame.timestamp)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class SyntheticDriver:
+    """The synthetic sensor in real time: 30 frames a second with 2D features, for ever.
+
+    The frames are rendered in :meth:`open` (some seconds) and then played forth and back, so that the head never jumps.
+    Like a camera it does not wait: whoever polls too late misses frames. ``frames``: a list that keeps the rendered
+    frames for the next driver; ``clock`` returns seconds.
+    """
+
+    live, has_features, fps = True, True, 30.0
+
+    def __init__(self, source, frames: list[RgbdFrame], clock: Callable[[], float] = time.perf_counter) -> None:
+        self.source, self._frames, self._clock = source, frames, clock
+        self.name, self.depth_scale = source.name, source.depth_scale
+
+    def open(self) -> None:
+        """Render the performance, unless an earlier driver did."""
+        self._frames.extend(self.source.read(i) for i in range(len(self._frames), len(self.source)))
+        self._start, self._next = self._clock(), 0
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The frame of this moment, waiting for it up to ``timeout`` s."""
+        wait = self._start + self._next / self.fps - self._clock()
+        if wait > timeout:
+            time.sleep(timeout)
+            return None
+        if wait > 0:
+            time.sleep(wait)
+        sequence = max(self._next, int((self._clock() - self._start) * self.fps))
+        self._next = sequence + 1
+        return raw_frame(self._frames[forth_and_back(sequence, len(self._frames))], sequence, sequence / self.fps)
+
+    def close(self) -> None:
+        """Nothing to release; the rendered frames stay for the next driver."""
+
+
+def forth_and_back(step: int, length: int) -> int:
+    """0, 1, ..., length - 1, length - 2, ..., 1, 0, 1, ...; 0 for a single frame."""
+    turn = step % max(2 * length - 2, 1)
+    return min(turn, 2 * length - 2 - turn)
