@@ -291,7 +291,7 @@ def test_video_shows_tracked_mesh_and_character(scene, files, tmp_path, suffix):
     _, result, _ = scene
     panels = [tracked_panel(result), character_panel(files[1]["hag"])]
     path = tmp_path / f"video{suffix}"
-    write_video(path, side_by_side(panels, ["tracked", "hag"], 6), 30.0)
+    write_video(path, side_by_side(panels, ["tracked", "hag"], range(6)), 30.0)
     if suffix == ".gif":
         with Image.open(path) as image:
             assert image.size == (PANEL, PANEL // 2) and image.n_frames == 3

@@ -93,7 +93,7 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
                         increasing(result.timestamps), view_motion(result.rigid))  # fmt: skip
 
 
-def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray, tolerance: float = 0.05) -> AnimatedMesh:
+def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray, tolerance: float = 0.2) -> AnimatedMesh:
     """The mesh with displacements (F, V, 3) mm added as further morph targets, within ``tolerance`` mm."""
     shape, amount = _principal_targets(displacements, tolerance)
     names = tuple(f"corrective{k:02d}" for k in range(len(shape)))

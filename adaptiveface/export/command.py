@@ -13,7 +13,7 @@ from ..errors import AdaptiveFaceError, ParameterError
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
 from ..retargeting.correctives import character_correctives
-from ..retargeting.retarget import coverage, retarget
+from ..retargeting.retarget import coverage, frame_rate, retarget
 from ..retargeting.smoothing import OneEuro
 from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
@@ -51,7 +51,10 @@ def run_export(args: argparse.Namespace) -> int:
         from ..sensors import open_source
 
         source = open_source(args.source) if args.source else None
-        write_performance_video(out, result, actor, options, source, args.turntable)
+        if source is not None and len(source) != len(result):
+            raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
+        mesh = None if args.character == "actor" else animated(result, actor, options)
+        write_performance_video(out, result, mesh, source, args.turntable)
         print(f"{out}: {len(result)} frames")
         return 0
     mesh = animated(result, actor, options)
@@ -124,34 +127,31 @@ def animated_character(
 
 
 def write_performance_video(
-    path: Path, result: Result, actor: Actor | None, options: ExportOptions, source=None, turntable: bool = False
+    path: Path, result: Result, mesh: AnimatedMesh | None, source=None, turntable: bool = False, step: int = 1
 ) -> None:
-    """Input (where there is a source), tracked mesh and character side by side."""
-    from ..retargeting.retarget import frame_rate
-
-    if source is not None and len(source) != len(result):
-        raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
+    """Input (where there is a source), tracked mesh and animated character side by side; every ``step``-th frame."""
     from .video import character_panel, input_panel, side_by_side, tracked_panel, turntable_panel, write_video
 
     panels, labels = [tracked_panel(result)], ["tracked"]
     if source is not None:
         panels, labels = [input_panel(source, result), *panels], ["input", *labels]
-    if options.character != "actor":
-        mesh = animated(result, actor, options)
+    if mesh is not None:
         panels.append(turntable_panel(mesh) if turntable else character_panel(mesh))
         labels.append(mesh.name)
-    write_video(path, side_by_side(panels, labels, len(result)), frame_rate(result.timestamps))
+    frames = range(0, len(result), step)
+    write_video(path, side_by_side(panels, labels, frames), frame_rate(result.timestamps) / step)
 
 
 def write_demo_character(name: str, result: Result, actor: Actor, source, folder: Path) -> list[Path]:
-    """``demo --character``: NAME.glb with the actor's correctives, and NAME.mp4 beside the report."""
+    """``demo --character``: NAME.glb with the actor's correctives, and NAME.mp4 (half the frames) beside the report."""
     from .gltf import write_glb
 
     character = load_character(name)
     options = ExportOptions(name, correctives=character.shares_topology(actor.triangles))
     paths = [folder / f"{character.name}.glb", folder / f"{character.name}.mp4"]
-    write_glb(paths[0], animated_character(result, actor, character, options))
-    write_performance_video(paths[1], result, actor, options, source)
+    mesh = animated_character(result, actor, character, options)
+    write_glb(paths[0], mesh)
+    write_performance_video(paths[1], result, mesh, source, step=2)
     return paths
 
 

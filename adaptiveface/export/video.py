@@ -81,9 +81,9 @@ def input_panel(source, result: Result) -> Panel:
     return draw
 
 
-def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: int) -> Iterable[np.ndarray]:
-    """Frames (PANEL, n PANEL, 3) uint8 RGB with a label on every panel."""
-    for frame in range(frames):
+def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Iterable[np.ndarray]:
+    """Frames (PANEL, n PANEL, 3) uint8 RGB with a label on every panel, for frame numbers."""
+    for frame in frames:
         images = []
         for panel, label in zip(panels, labels, strict=True):
             image = np.ascontiguousarray(panel(frame))
