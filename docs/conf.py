@@ -18,7 +18,7 @@ copyright = author
 release = version = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "generated", "mathml"]
-exclude_patterns = ["_build", "_ext"]
+exclude_patterns = ["_build", "_ext", "measured.md"]
 html_theme = "furo"
 html_title = "adaptiveface"
 html_static_path = ["_static"]

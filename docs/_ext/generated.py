@@ -30,7 +30,7 @@ def write_pages(docs: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
-    for picture in (docs / "pictures").glob("notebook_*.png"):
+    for picture in (docs / "pictures").glob("notebook_*.jpg"):
         shutil.copy(picture, pages / "notebooks")
 
 
@@ -114,7 +114,7 @@ def notebooks_index(docs: Path) -> str:
     ):
         lines += [f"## {title}", "", "```{toctree}", ":maxdepth: 1", "", *chosen, "```", ""]
         for name in chosen:
-            picture = docs / "pictures" / f"notebook_{name[:2]}.png"
+            picture = docs / "pictures" / f"notebook_{name[:2]}.jpg"
             if "/" not in name and picture.exists():
                 lines += [f"![Notebook {name[:2]} in JupyterLab]({picture.name})", ""]
     return "\n".join(lines)

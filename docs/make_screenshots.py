@@ -1,0 +1,109 @@
+"""Screenshots of the notebooks for the docs, from JupyterLab in a headless browser.
+
+    python docs/make_screenshots.py [--chromium /usr/bin/chromium] [00 05 ...]
+
+Needs the extras ``notebooks`` and ``test``. Every notebook is run from top to bottom; the picture shows its first view.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import socket
+import subprocess
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import Page, sync_playwright
+
+from adaptiveface.lab import copy_notebooks, lab_command, lab_environment
+
+PICTURES = Path(__file__).parent / "pictures"
+FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
+IDLE = """() => {
+  const context = window.jupyterapp?.shell.currentWidget?.sessionContext;
+  return context?.session?.kernel?.status === 'idle';
+}"""
+FAILED = ".jp-OutputArea-output[data-mime-type='application/vnd.jupyter.error']"
+VIEW = ".jp-OutputArea-output .jupyter-widgets img, .jp-OutputArea-output img"
+
+
+def free_port() -> int:
+    """A port nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_for(url: str, seconds: float = 60) -> None:
+    """Return when the server answers."""
+    end = time.monotonic() + seconds
+    while True:
+        try:
+            urllib.request.urlopen(url, timeout=2).close()
+            return
+        except OSError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.3)
+
+
+def run_all(page: Page, address: str) -> None:
+    """Open a notebook, run every cell and wait until the kernel has nothing left to do."""
+    page.goto(address)
+    page.wait_for_selector(".jp-NotebookPanel .jp-CodeCell", timeout=60_000)
+    page.wait_for_function(IDLE, timeout=60_000)
+    page.evaluate("() => window.jupyterapp.commands.execute('application:toggle-left-area')")
+    page.evaluate("() => window.jupyterapp.commands.execute('notebook:run-all-cells')")
+    page.wait_for_timeout(1000)
+    page.wait_for_function(IDLE, timeout=240_000)
+    page.wait_for_timeout(3000)
+
+
+def photograph(page: Page, path: Path) -> None:
+    """The window with the notebook's first view in it."""
+    page.evaluate("() => document.querySelector('.jp-WindowedPanel-outer')?.scrollTo(0, 0)")
+    views = page.locator(VIEW)
+    if views.count():
+        views.first.scroll_into_view_if_needed()
+        page.wait_for_timeout(1500)
+    Image.open(io.BytesIO(page.screenshot())).convert("RGB").save(path, quality=82, optimize=True)
+
+
+def main() -> None:
+    """Start JupyterLab on a fresh copy, and photograph the chosen notebooks."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--chromium", default="/usr/bin/chromium")
+    parser.add_argument("numbers", nargs="*", help="e.g. 00 05; default: all")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        copy_notebooks(Path(folder))
+        port, token = free_port(), "screenshots"
+        environment = {**lab_environment(Path(folder)), "JUPYTER_TOKEN": token}
+        environment |= {"JUPYTER_CONFIG_DIR": f"{folder}/config", "JUPYTERLAB_WORKSPACES_DIR": f"{folder}/workspaces"}
+        command = [*lab_command(Path(folder), port, browser=False), "--LabApp.expose_app_in_browser=True"]
+        server = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        browser = playwright.chromium.launch(executable_path=args.chromium, headless=True, args=FLAGS)
+        try:
+            wait_for(f"http://127.0.0.1:{port}/api")
+            for path in sorted(Path(folder).glob("*.ipynb")):
+                if args.numbers and path.name[:2] not in args.numbers:
+                    continue
+                page = browser.new_page(viewport={"width": 1280, "height": 1150})
+                run_all(page, f"http://127.0.0.1:{port}/lab/tree/{path.name}?reset&token={token}")
+                failed = page.locator(FAILED).count()
+                photograph(page, PICTURES / f"notebook_{path.name[:2]}.jpg")
+                print(path.name, "a cell raised" if failed else "fine", flush=True)
+                page.evaluate("() => window.jupyterapp.shell.currentWidget.sessionContext.shutdown()")
+                page.close()
+        finally:
+            browser.close()
+            server.terminate()
+            server.wait(30)
+
+
+if __name__ == "__main__":
+    main()
