@@ -430,3 +430,38 @@ def test_vmc_and_osc_messages(scene):
     assert received(listeners[0]) == [("/VMC/Ext/OK", [0])]
     for listener in listeners:
         listener.close()
+
+
+class _Source:
+    """Six frames of a head that opens its mouth, rendered from a known rig."""
+
+    name, fps, has_features = "rendered", 30.0, True
+
+    def __init__(self, actor) -> None:
+        from scenes import CAMERA, coefficients, head_pose, posed_shape, render_frame
+
+        self.camera = CAMERA
+        shapes = [posed_shape(actor, coefficients(actor, jawOpen=0.12 * f)) for f in range(6)]
+        self.frames = [render_frame(actor, shape, head_pose(), index) for index, shape in enumerate(shapes)]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def read(self, index: int):
+        return self.frames[index]
+
+
+def test_stream_command_tracks_and_sends(scene, saved, capsys, monkeypatch):
+    pytest.importorskip("pythonosc", reason="the extra 'osc' is not installed")
+    source = _Source(scene[0])
+    monkeypatch.setattr("adaptiveface.sensors.open_source", lambda text: source)
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listener.bind((LOOPBACK, 0))
+    port = str(listener.getsockname()[1])
+    assert cli.main(["stream", "any", "--vmc", port, "--actor", str(saved / "actor.npz"), "--fast"]) == 0
+    messages = received(listener)
+    listener.close()
+    jaw = [m[1][1] for m in messages if m[0] == "/VMC/Ext/Blend/Val" and m[1][0] == "JawOpen"]
+    assert len(jaw) == 6 and jaw[0] < 0.1
+    assert jaw[-1] == pytest.approx(0.6, abs=0.12) and np.all(np.diff(jaw) > 0)
+    assert f"VMC to {LOOPBACK}:{port}" in capsys.readouterr().out
