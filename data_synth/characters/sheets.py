@@ -50,3 +50,21 @@ def _write(character: Character, cells, path: Path, columns: int = COLUMNS, size
         pictures.append(np.full_like(pictures[0], 255))
     rows = [np.hstack(pictures[i : i + columns]) for i in range(0, len(pictures), columns)]
     cv2.imwrite(str(path), np.vstack(rows)[:, :, ::-1])
+
+
+def write_overview(characters: list[Character], path: Path, size: int = 260) -> None:
+    """One picture: every character (row) neutral, joyful, angry, with closed eyes and open mouth."""
+    moods = ({}, {"mouthSmile": 1.0, "cheekSquint": 0.8, "jawOpen": 0.3}, {"browDown": 1.0, "noseSneer": 0.8},
+             {"eyeBlink": 1.0}, {"jawOpen": 0.9, "browInnerUp": 0.8, "eyeWide": 0.7})  # fmt: skip
+    rows = []
+    for character in characters:
+        cells = []
+        for number, mood in enumerate(moods):
+            weights = np.zeros(len(character.expression_names))
+            for name, value in mood.items():
+                for side in ("", "Left", "Right"):
+                    if name + side in character.expression_names:
+                        weights[character.expression_names.index(name + side)] = value
+            cells.append(portrait(character, character.shape(weights), size, yaw=(0, -22, 22, 0, 28)[number]))
+        rows.append(np.hstack(cells))
+    cv2.imwrite(str(path), np.vstack(rows)[:, :, ::-1])
