@@ -361,3 +361,17 @@ def test_solutions_pass():
                 exec(source.replace(f"exercises.{exercise.name.upper()}.check({exercise.name})", ""), space)  # noqa: S102
         grade = exercise.grade(space[exercise.name])
         assert grade.passed, f"{path.name}: {grade}"
+
+
+@pytest.mark.parametrize(
+    "number, exercise", zip((3, 4, 5, 6), exercises.EXERCISES, strict=True), ids=lambda v: getattr(v, "name", v)
+)
+def test_notebooks_end_with_the_exercise_and_an_empty_stub(number, exercise):
+    (path,) = SOLUTIONS.parent.glob(f"{number:02d}_*.ipynb")
+    text, stub, check = json.loads(path.read_text(encoding="utf-8"))["cells"][-3:]
+    linked = "".join(text["source"]).split("(solutions/")[1].split(")")[0]
+    assert (SOLUTIONS / linked).is_file()
+    assert "".join(check["source"]) == f"exercises.{exercise.name.upper()}.check({exercise.name})"
+    space: dict = {}
+    exec("".join(stub["source"]), space)  # noqa: S102
+    assert not exercise.check(space[exercise.name]).grade.started
