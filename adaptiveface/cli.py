@@ -78,6 +78,17 @@ def _parser() -> argparse.ArgumentParser:
     _add_settings(track)
     track.set_defaults(run=run_track)
 
+    record = commands.add_parser("record", help="record a sensor into a folder that track and capture read")
+    record.add_argument("source", metavar="SOURCE", help="a sensor (synthetic, realsense, ...) or a recording")
+    record.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
+    record.add_argument("--seconds", type=_whole(1, 86_400), metavar="N", help="default: until Ctrl-C")
+    record.set_defaults(run=run_record)
+
+    convert = commands.add_parser("convert", help="a vendor's recording into a folder that track and capture read")
+    convert.add_argument("file", type=Path, metavar="FILE", help="a recording of another program or SDK")
+    convert.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
+    convert.set_defaults(run=run_convert)
+
     export = commands.add_parser("export", help="a tracked result as an animated character, curves or a video")
     add_export_arguments(export)
     export.set_defaults(run=run_export)
@@ -211,6 +222,20 @@ def run_demo(args: argparse.Namespace) -> int:
             print(f"character: {path}")
     print(f"done in {time.perf_counter() - start:.0f} s")
     return 0
+
+
+def run_record(args: argparse.Namespace) -> int:
+    """``record SOURCE``."""
+    from .sensors.record import run_record as run
+
+    return run(args)
+
+
+def run_convert(args: argparse.Namespace) -> int:
+    """``convert FILE``."""
+    from .sensors.record import run_convert as run
+
+    return run(args)
 
 
 def run_lab(args: argparse.Namespace) -> int:

@@ -20,7 +20,7 @@ from adaptiveface.errors import (
 )
 from adaptiveface.sensors import LiveFrame, list_sensors, open_sensor
 from adaptiveface.sensors.live import LiveSensor
-from adaptiveface.sensors.playback import SyntheticDriver, forth_and_back
+from adaptiveface.sensors.playback import DEVICE_QUEUE, SyntheticDriver, forth_and_back
 from adaptiveface.synthetic.sensor import SyntheticSensor
 
 
@@ -78,6 +78,15 @@ def test_a_live_sensor_hands_out_the_newest_frame_and_counts_the_dropped():
     assert (second.sequence, second.dropped) == (5, 4)  # the device lost 3 and 4
     assert (first.index, second.index) == (0, 1)
     assert second.host_timestamp > first.host_timestamp
+
+
+def test_with_a_buffer_every_frame_waits_until_it_is_read():
+    gate = Gate([small_frame(i) for i in range(6)])
+    with LiveSensor(lambda: gate, max_age=0.0) as sensor:
+        sensor.buffer(4)
+        gate.go(6)
+        frames = [sensor.read(1) for _ in range(4)]
+    assert [f.sequence for f in frames] == [2, 3, 4, 5] and frames[-1].dropped == 2
 
 
 def test_duplicates_and_late_frames_are_never_handed_out():
@@ -210,7 +219,8 @@ def test_the_synthetic_sensor_is_paced_by_the_clock_and_skips_what_nobody_took(s
     assert driver.grab(0.0) is None  # the next one is due after 1/30 s
     now[0] += 2.01
     late = driver.grab(0)
-    assert late.sequence == 60 and np.array_equal(late.depth, frames[forth_and_back(60, 5)].depth)
+    assert late.sequence == 60 - DEVICE_QUEUE
+    assert np.array_equal(late.depth, frames[forth_and_back(60 - DEVICE_QUEUE, 5)].depth)
     assert [forth_and_back(i, 5) for i in range(10)] == [0, 1, 2, 3, 4, 3, 2, 1, 0, 1]
 
 

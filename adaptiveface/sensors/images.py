@@ -60,5 +60,9 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
     else:
         image.save(buffer, "JPEG", quality=95, subsampling=0)
     temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(buffer.getvalue())
-    os.replace(temporary, path)
+    try:
+        temporary.write_bytes(buffer.getvalue())
+        os.replace(temporary, path)
+    except OSError:  # half an image on a full disk helps nobody
+        temporary.unlink(missing_ok=True)
+        raise

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -122,7 +123,8 @@ class LiveSensor:
         self.has_features = self._driver.has_features
         self.dropped, self.discarded = 0, 0  #: frames never handed out; of them unusable, repeated or out of order
         self._changed = threading.Condition()
-        self._slot: LiveFrame | None = None
+        self._unread: deque[LiveFrame] = deque()
+        self._capacity = 1
         self._error: AdaptiveFaceError | None = None
         self._connected = self._opened = self._closed = False
         self._handed_out = 0
@@ -160,10 +162,16 @@ class LiveSensor:
                     raise self._overdue(timeout)
                 self._changed.wait(left)
 
+    def buffer(self, frames: int) -> None:
+        """Keep up to ``frames`` unread frames, however old: for recording, where each one counts and none is late."""
+        with self._changed:
+            self._capacity, self.max_age = frames, math.inf
+
     def close(self) -> None:
         """Stop the thread and release the sensor, within half a second; calling it again does nothing."""
         with self._changed:
-            self._closed, self._slot = True, None
+            self._closed = True
+            self._unread.clear()
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
             self._thread.join(CLOSE_SECONDS)
@@ -182,9 +190,9 @@ class LiveSensor:
                 return
 
     def _take(self) -> LiveFrame | None:
-        frame, self._slot = self._slot, None
-        if frame is None:
+        if not self._unread:
             return None
+        frame = self._unread.popleft()
         self._changed.notify_all()  # a file goes on reading
         if self.live and frame.age > self.max_age:
             self.dropped += 1
@@ -237,17 +245,21 @@ class LiveSensor:
         frame = _live_frame(raw)
         with self._changed:
             if not self.live:
-                self._changed.wait_for(lambda: self._slot is None or self._closed)
-            self.dropped += lost + (self._slot is not None)
-            self._slot = None if self._closed else frame
+                self._changed.wait_for(lambda: len(self._unread) < self._capacity or self._closed)
+            while len(self._unread) >= self._capacity:
+                self._unread.popleft()
+                lost += 1
+            self.dropped += lost
+            if not self._closed:
+                self._unread.append(frame)
             self._changed.notify_all()
 
     def _set(self, connected: bool, error: AdaptiveFaceError | None = None) -> None:
         with self._changed:
             if not connected and not self.live:
-                self._changed.wait_for(lambda: self._slot is None or self._closed)
+                self._changed.wait_for(lambda: not self._unread or self._closed)
             elif not connected:
-                self._slot = None  # a frame from before the unplugging is not what the sensor sees now
+                self._unread.clear()  # a frame from before the unplugging is not what the sensor sees now
             self._connected, self._error = connected, error
             self._opened |= connected
             self._changed.notify_all()

@@ -11,6 +11,8 @@ from .live import RawFrame
 
 #: The live synthetic performance: a neutral scan and expressions, rendered once and played forth and back.
 NEUTRAL_FRAMES, EXPRESSION_FRAMES = 20, 70
+#: Frames that wait in the synthetic sensor until it is polled, as in the vendors' libraries.
+DEVICE_QUEUE = 8
 
 
 def raw_frame(frame: RgbdFrame, sequence: int, timestamp: float) -> RawFrame:
@@ -51,8 +53,8 @@ class SyntheticDriver:
     """The synthetic sensor in real time: 30 frames a second with 2D features, for ever.
 
     The frames are rendered in :meth:`open` (some seconds) and then played forth and back, so that the head never jumps.
-    Like a camera it does not wait: whoever polls too late misses frames. ``frames``: a list that keeps the rendered
-    frames for the next driver; ``clock`` returns seconds.
+    Like a camera it does not wait: whoever polls too late misses frames (``DEVICE_QUEUE``).
+    ``frames``: a list that keeps the rendered frames for the next driver; ``clock`` returns seconds.
     """
 
     live, has_features, fps = True, True, 30.0
@@ -74,7 +76,7 @@ class SyntheticDriver:
             return None
         if wait > 0:
             time.sleep(wait)
-        sequence = max(self._next, int((self._clock() - self._start) * self.fps))
+        sequence = max(self._next, int((self._clock() - self._start) * self.fps) - DEVICE_QUEUE)
         self._next = sequence + 1
         return raw_frame(self._frames[forth_and_back(sequence, len(self._frames))], sequence, sequence / self.fps)
 

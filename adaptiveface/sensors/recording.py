@@ -149,19 +149,28 @@ class RecordingWriter:
 
     def write(self, frame: RgbdFrame) -> int:
         """Append ``frame``; returns its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
+        number = self.reserve(frame)
+        self.write_images(number, frame)
+        return number
+
+    def reserve(self, frame: RgbdFrame) -> int:
+        """Append ``frame`` to the tables only; returns the number under which to write its images."""
         if frame.depth.shape != (self.camera.height, self.camera.width):
             size = f"{self.camera.width} x {self.camera.height} pixels"
             raise FileFormatError(f"{self.path}: a frame of {frame.depth.shape[::-1]} pixels, the camera has {size}")
         number = len(self._timestamps)
+        self._timestamps.append(float(frame.timestamp))
+        if frame.features is not None:
+            self._features[number] = frame.features
+        return number
+
+    def write_images(self, number: int, frame: RgbdFrame) -> None:
+        """Write the images of a reserved ``frame``; several threads may do so at a time."""
         units = np.rint(frame.depth.astype(float) * (self.depth_scale / 1000.0))
         units[~((units >= 1) & (units <= 65_535))] = 0
         write_image(self.path / "depth" / f"{number:05d}.png", units.astype(np.uint16))
         if frame.colour is not None:
             write_image(self.path / "color" / f"{number:05d}.{self.colour_format}", frame.colour)
-        self._timestamps.append(float(frame.timestamp))
-        if frame.features is not None:
-            self._features[number] = frame.features
-        return number
 
     def close(self) -> None:
         """Write timestamps.csv and, where any frame had features, features.csv."""

@@ -1,0 +1,179 @@
+"""``record`` and ``convert``: the frames of a sensor, as raw as they come, in the layout of a recording.
+
+Pictures are compressed by a pool of threads while the next frame is waited for. Images and tables appear whole or not
+at all and the tables are renewed while recording, so that the folder is a readable recording at any moment: killed in
+mid-frame, it ends with the last frame whose images were complete.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import AdaptiveFaceError, EndOfRecording, FileFormatError, RecordingError
+from .live import LiveFrame, LiveSensor
+from .recording import RecordingWriter
+
+#: Threads that compress images, and the frames that may wait for them (about 2 MB each).
+WRITERS, BACKLOG = 2, 90
+#: Seconds between two renewals of the tables; a renewal that took long makes the next one wait 20 times as long.
+CHECKPOINT_SECONDS = 1.0
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """``frames`` written to ``path``; ``dropped`` by the sensor or on the way; ``refused``: the disk was too slow."""
+
+    path: Path
+    frames: int
+    dropped: int
+    refused: int
+    seconds: float
+
+    def __str__(self) -> str:
+        text = f"{self.path}: {self.frames} frames in {self.seconds:.1f} s, {self.dropped} dropped by the sensor"
+        return text + (f", {self.refused} lost because the disk is too slow" if self.refused else "")
+
+
+class FrameRecorder:
+    """Writes frames with a pool of threads; ``lossless=False``: a frame that finds a full backlog is refused.
+
+    Raises :class:`RecordingError` from :meth:`write` and :meth:`close` when the disk is full; the frames written before
+    stay readable.
+    """
+
+    def __init__(self, writer: RecordingWriter, lossless: bool = False) -> None:
+        self.writer, self.lossless = writer, lossless
+        self.frames = self.refused = 0
+        self._pool = ThreadPoolExecutor(WRITERS, thread_name_prefix="recording")
+        self._waiting: deque[Future] = deque()
+        self._next_checkpoint = time.perf_counter() + CHECKPOINT_SECONDS
+
+    def write(self, frame: LiveFrame) -> bool:
+        """Queue ``frame``; False where it was refused."""
+        while self._waiting and (self._waiting[0].done() or (self.lossless and len(self._waiting) >= BACKLOG)):
+            self._finish_one()
+        if len(self._waiting) >= BACKLOG:
+            self.refused += 1
+            return False
+        number = self.writer.reserve(frame)
+        self._waiting.append(self._pool.submit(self.writer.write_images, number, frame))
+        if time.perf_counter() >= self._next_checkpoint:
+            self._checkpoint()
+        return True
+
+    def close(self) -> None:
+        """Write what is queued and the tables; calling it again does nothing."""
+        try:
+            while self._waiting:
+                self._finish_one()
+            self._checkpoint()
+        finally:
+            self._pool.shutdown(cancel_futures=True)
+
+    def _finish_one(self) -> None:
+        with self._explained():
+            self._waiting.popleft().result()
+        self.frames += 1
+
+    def _checkpoint(self) -> None:
+        start = time.perf_counter()
+        with self._explained():
+            self.writer.close()
+        end = time.perf_counter()
+        self._next_checkpoint = end + max(CHECKPOINT_SECONDS, 20 * (end - start))
+
+    def _explained(self) -> _Explained:
+        return _Explained(self)
+
+
+class _Explained:
+    """Turns an OSError into the package's error, after dropping what is still queued."""
+
+    def __init__(self, recorder: FrameRecorder) -> None:
+        self._recorder = recorder
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind, error, trace) -> None:
+        if not isinstance(error, OSError):
+            return
+        recorder = self._recorder
+        while recorder._waiting:
+            future = recorder._waiting.popleft()
+            recorder.frames += not future.cancel() and future.exception() is None
+        reason, path = error.strerror or str(error), recorder.writer.path
+        raise RecordingError(
+            f"{path}: {reason} after {recorder.frames} frames, which are kept; free some space or name another folder"
+        ) from error
+
+
+def record_sensor(
+    sensor: LiveSensor,
+    folder: Path,
+    seconds: float | None = None,
+    frames: int | None = None,
+    on_frame: Callable[[LiveFrame], None] | None = None,
+) -> RecordingSummary:
+    """Record ``sensor`` into the new ``folder`` until ``seconds`` or ``frames`` are over, or its recording ends.
+
+    ``on_frame(frame)`` sees every frame. Ctrl-C leaves a complete recording behind. Raises :class:`RecordingError` on a
+    full disk, the sensor's :class:`SensorError`, :class:`FileFormatError` for a folder that holds a recording already;
+    whatever was recorded until then stays.
+    """
+    sensor.buffer(BACKLOG)
+    first = sensor.read(timeout=5.0)
+    depth_scale = min(max(sensor.depth_scale, 100.0), 100_000.0)
+    recorder = FrameRecorder(RecordingWriter(folder, first.camera, sensor.fps, depth_scale), not sensor.live)
+    start, frame, count = time.perf_counter(), first, 0
+    try:
+        while True:
+            count += recorder.write(frame)
+            if on_frame is not None:
+                on_frame(frame)
+            if count == frames or (seconds is not None and time.perf_counter() - start >= seconds):
+                break
+            frame = sensor.read(timeout=5.0)
+    except EndOfRecording:
+        pass
+    finally:
+        recorder.close()
+    lost = sensor.dropped - first.dropped
+    return RecordingSummary(recorder.writer.path, recorder.frames, lost, recorder.refused, time.perf_counter() - start)
+
+
+def run_record(args) -> int:
+    """``record SOURCE --out DIR [--seconds N]``."""
+    from .catalogue import open_sensor
+
+    _check_new(args.out)
+    with open_sensor(args.source) as sensor:
+        print(f"{sensor.name}: recording" + (f" for {args.seconds} s" if args.seconds else "; Ctrl-C ends it"))
+        print(record_sensor(sensor, args.out, args.seconds))
+    return 0
+
+
+def run_convert(args) -> int:
+    """``convert FILE --out DIR``."""
+    from .catalogue import open_sensor
+
+    _check_new(args.out)
+    if not args.file.exists():
+        raise FileFormatError(f"{args.file}: no such file")
+    with open_sensor(str(args.file)) as sensor:
+        if sensor.live:
+            raise AdaptiveFaceError(f"{args.file}: is a live sensor; use 'adaptiveface record'")
+        print(record_sensor(sensor, args.out))
+    return 0
+
+
+def _check_new(folder: Path) -> None:
+    if (folder / "intrinsic.json").exists():
+        raise FileFormatError(f"{folder}: already holds a recording; name another folder")
+    if folder.exists() and not folder.is_dir():
+        raise FileFormatError(f"{folder}: is a file, the name of a new folder is expected")
