@@ -162,7 +162,14 @@ def open_lab(folder: Path, port: int | None = None, browser: bool = True) -> int
     if copied.kept:
         print(f"kept as you changed them: {', '.join(copied.kept)} (rename or delete one to get a fresh copy)")
     sys.stdout.flush()
-    server = subprocess.Popen(lab_command(folder, port, browser), env=lab_environment(folder))
+    return _become(lab_command(folder, port, browser), lab_environment(folder))
+
+
+def _become(command: list[str], environment: dict[str, str]) -> int:
+    """Replace this process by the command, so that every signal reaches it; where that is impossible, wait for it."""
+    if os.name == "posix":
+        os.execve(command[0], command, environment)
+    server = subprocess.Popen(command, env=environment)
     while True:
         try:
             return server.wait()

@@ -165,7 +165,7 @@ def test_jupyterlab_starts_serves_the_notebooks_and_its_settings(tmp_path):
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(f"http://127.0.0.1:{port}/api/contents", timeout=5)
     finally:
-        os.killpg(server.pid, signal.SIGTERM)
+        server.send_signal(signal.SIGTERM)
         output = server.communicate(timeout=30)[0]
     assert str(folder) in output
     with socket.socket() as probe:
