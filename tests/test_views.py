@@ -24,7 +24,7 @@ from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study  # noqa: E402
 from adaptiveface.views.kernel import BackgroundTask, on_main_thread, shown_errors  # noqa: E402
 from adaptiveface.views.pictures import annotate  # noqa: E402
-from adaptiveface.views.session import Session  # noqa: E402
+from adaptiveface.views.session import Session, liveliest_window  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -468,6 +468,12 @@ def test_session_is_cached_and_a_damaged_cache_is_made_anew(tmp_path):
     truth = first.truth[first.frames[2].index]
     assert truth.performance == 1 and len(truth.vertices) == len(first.truth.neutral)
     assert first.frames[0].depth[first.frames[0].depth > 0].min() > 300
+
+
+def test_liveliest_window_holds_the_movement():
+    script = np.zeros((60, 2))
+    script[30:40, 1] = np.sin(np.linspace(0, np.pi, 10))
+    assert 24 <= liveliest_window(script, 16) <= 30
 
 
 def test_session_from_a_recording(tmp_path):

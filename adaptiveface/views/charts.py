@@ -42,7 +42,7 @@ class LiveChart:
         axis.xaxis.label.set_size(9)
         axis.yaxis.label.set_size(9)
         axis.grid(alpha=0.3)
-        self._lines = {}
+        self._lines, self._legend = {}, None
         for name, colour in zip(names, COLOURS, strict=False):
             (line,) = axis.plot([], [], color=colour, lw=1.6, label=name, animated=True)
             self._lines[name] = line
@@ -51,7 +51,8 @@ class LiveChart:
             handles = [
                 axis.plot([], [], color=line.get_color(), lw=1.6, label=name)[0] for name, line in self._lines.items()
             ]
-            axis.legend(handles=handles, fontsize=8, loc="upper right", framealpha=0.8)
+            self._legend = axis.legend(handles=handles, fontsize=8, loc="upper right", framealpha=0.85)
+            self._legend.set_animated(True)
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
         self._image = image_widget(*size, format="png", name="adaptiveface-chart")
@@ -65,8 +66,9 @@ class LiveChart:
             self._lines[name].set_data(x, y)
         self._cursor.set_xdata([cursor, cursor])
         self._canvas.restore_region(self._background)
-        for artist in (self._cursor, *self._lines.values()):
-            self._axis.draw_artist(artist)
+        for artist in (self._cursor, *self._lines.values(), self._legend):
+            if artist is not None:
+                self._axis.draw_artist(artist)
         self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
 
 

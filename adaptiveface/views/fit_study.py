@@ -109,8 +109,12 @@ def jitter(x: np.ndarray) -> float:
     return float(np.sqrt((np.diff(x, 2, axis=0) ** 2).mean()))
 
 
-def lag(output: np.ndarray, measured: np.ndarray, most: int = 20) -> int:
-    """Frames by which ``output`` (F, A) trails ``measured`` (F, A): the shift at which they agree best."""
-    most = min(most, len(measured) // 3)
-    errors = [np.mean((output[shift:] - measured[: len(measured) - shift]) ** 2) for shift in range(most + 1)]
-    return int(np.argmin(errors))
+def lag(output: np.ndarray, measured: np.ndarray, most: int = 30) -> int:
+    """Frames by which ``output`` (F, A) trails ``measured`` (F, A): the shift with the largest correlation."""
+    output, measured = output - output.mean(axis=0), measured - measured.mean(axis=0)
+
+    def correlation(shift: int) -> float:
+        late, early = output[shift:], measured[: len(measured) - shift]
+        return float((late * early).sum() / max(np.linalg.norm(late) * np.linalg.norm(early), 1e-12))
+
+    return int(np.argmax([correlation(shift) for shift in range(min(most, len(measured) // 3) + 1)]))

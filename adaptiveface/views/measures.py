@@ -8,7 +8,7 @@ import numpy as np
 
 from ..evaluation import motion_error, neutral_alignment
 from ..frame import RgbdFrame
-from ..mesh import transform_points
+from ..mesh import transform_points, vertex_normals
 from ..tracking.types import TrackedFrame
 from .session import Session
 
@@ -48,7 +48,9 @@ class Measures:
             )
             lengths = np.linalg.norm(vectors, axis=1)
         else:
-            lengths = depth_distance(frame, vertices)
+            towards = -np.einsum("nd,nd->n", vertex_normals(vertices, actor.triangles), vertices)
+            seen = towards > 0.2 * np.linalg.norm(vertices, axis=1)  # the far side is hidden by the near one
+            lengths = np.where(seen, depth_distance(frame, vertices), np.nan)
         return np.where(actor.frontal & actor.depth_valid, lengths, np.nan)
 
     def mean_error(self, result: TrackedFrame | None, frame: RgbdFrame, stage: str = "v4") -> float:

@@ -115,7 +115,7 @@ class ShrinkWrapStudy(_Study):
     """The fitted head before and after the shrink-wrap, coloured by the distance to the scan, for any stiffness."""
 
     def __init__(self, scan: FusedScan, fit: IdentityFit, stiffness: float = 0.3) -> None:
-        """``scan`` in the head frame (``neutral.fuse.in_head_frame``); ``fit`` the identity fit to it."""
+        """``scan`` (in the head frame) and ``fit`` of a :class:`~adaptiveface.neutral.capture.NeutralCapture`."""
         self.model, self.scan, self.fit, self._search = embedded_face_model(), scan, fit, ScanSearch(scan)
         self.view = FaceView(
             fit.vertices, self.model.triangles, ("fitted modes", "after the shrink-wrap"), limits=(0, 2),

@@ -100,7 +100,8 @@ class IcpStudy(_Study):
             ("mean residual", "stop rule, 3 mm", "true error"), (0, 12), (0, 12), "iteration", "mm", "ICP, step by step"
         )
         self._assemble([self.iteration, self.prune, self.shift, self.turn])
-        self.widget = widgets.VBox([self.widget, self.chart.widget])
+        box = self.widget.children[0]
+        box.layout.max_height, box.children = None, (*box.children, self.chart.widget)
 
     def draw(self) -> None:
         start = displaced(self.result.rigid, self._centre, self.shift.value, self.turn.value)

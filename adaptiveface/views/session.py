@@ -28,7 +28,7 @@ from ..sensors import open_source
 #: Environment variable: fewer frames, for test runs.
 FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
 #: Changes when the synthetic sensor or this file's layout does, so that an old cache is not used.
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 
 _FIELDS = {
     "depth": Field(("F", "H", "W"), "u"), "colour": Field(("F", "H", "W", 3), "u"), "pixels": Field(("F", 40, 2)),
@@ -116,7 +116,7 @@ def _recorded(source: str, neutral_frames: int, count: int, first: int) -> Sessi
 
 
 def _synthetic(source: str, neutral_frames: int, count: int, cache: Path) -> Session:
-    """Render (or load) one performance: the script is shortened to ``count`` frames, half first time, half repeat."""
+    """Render (or load) one performance of ``count`` frames, half of them the first time, half the repeat."""
     asset = Path(face_model.__file__).parent / "assets" / "face_model.npz"
     key = f"{CACHE_VERSION}|{source}|{neutral_frames}|{count}|{hashlib.sha256(asset.read_bytes()).hexdigest()}"
     stem = cache / f"performance-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
@@ -141,13 +141,16 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
 
     seed, _, noise = source.partition(":")[2].partition(":")
     half = max(count // 2, 1)
-    sensor = SyntheticSensor(int(seed or 7), noise or "structured-light", neutral_frames, half, 2)
+    # A window of a script three times as long: expressions at a natural speed, where the most happens.
+    sensor = SyntheticSensor(int(seed or 7), noise or "structured-light", neutral_frames, 3 * half, 2)
+    first = neutral_frames + liveliest_window(sensor.script, half)
+    chosen = [*range(neutral_frames), *range(first, first + half), *range(first + 3 * half, first + 4 * half)]
     rows: dict[str, list] = {
         name: [] for name in ("depth", "colour", "pixels", "confidence", "v", "rigid", "performance")
     }
     unit = 0.1
     with one_blas_thread():
-        for index in tqdm(range(len(sensor)), desc="rendering the performance (first time only)", unit="frame"):
+        for index in tqdm(chosen, desc="rendering the performance (first time only)", unit="frame"):
             frame, truth = sensor.read(index), sensor.ground_truth(index)
             values = (
                 np.round(frame.depth / unit).astype(np.uint16),
@@ -169,6 +172,13 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
         depth_unit=np.array(unit), truth_vertices=np.stack(rows["v"]), truth_rigid=np.stack(rows["rigid"]),
         performance=np.array(rows["performance"], np.int64), truth_neutral=neutral,
     )  # fmt: skip
+
+
+def liveliest_window(script: np.ndarray, length: int) -> int:
+    """First frame of the ``length`` frames of a script (F, E) in which the activations change most."""
+    change = np.concatenate([[0.0], np.abs(np.diff(script, axis=0)).sum(axis=1)])
+    sums = np.convolve(change, np.ones(length), mode="valid")
+    return int(sums.argmax())
 
 
 def _session(source: str, data: dict, neutral_frames: int, actor_file: Path) -> Session:

@@ -1,0 +1,142 @@
+"""For notebook 09: the actor and characters side by side, driven by sliders or by the tracked performance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import ipywidgets as widgets
+import numpy as np
+
+from ..mesh import rotation_vector_matrix
+from ..pipeline import one_blas_thread
+from ..retargeting import BUILT_IN
+from ..retargeting.arkit import arkit_weights
+from ..retargeting.character import Character, load_character
+from ..retargeting.correctives import transferred_correctives
+from ..retargeting.portrait import FACING, portrait
+from ..retargeting.resolve import SparseResolve
+from ..tracking.types import TrackedFrame
+from .charts import LiveChart
+from .kernel import on_main_thread, shown_errors
+from .pictures import encode, image_widget
+from .player import Player
+from .session import Session
+
+#: What drives the faces.
+SLIDERS, INITIAL, RESOLVED, CORRECTIVES = "sliders", "initial", "re-solved", "re-solved + correctives"
+_STYLE, _WIDE = {"description_width": "110px"}, widgets.Layout(width="270px")
+
+
+class RetargetingStudy:
+    """One view of the actor (final mesh v4) and of characters; ``widget`` is what to display.
+
+    ``results``: the tracked frames of the session. Coefficients come from the sliders, or from the frame that the
+    player shows; the chart shows one expression, initial against re-solved.
+    """
+
+    def __init__(
+        self, session: Session, results: Sequence[TrackedFrame], characters: Sequence[str] = BUILT_IN, pane: int = 250
+    ) -> None:
+        self.actor, self.pane = session.actor, pane
+        self.results = [result for result in results if result is not None and result.tracked]
+        names = self.actor.expression_names[: len(self.results[0].coefficients)]
+        self.names, self._table = tuple(names), arkit_weights(names)
+        resolve = SparseResolve(self.actor, names)
+        self.initial = np.array([r.coefficients_initial for r in self.results])
+        self.resolved = np.array([resolve(r.v4, r.coefficients) for r in self.results])
+        self.characters = [load_character(name) for name in characters]
+        self._self = Character("actor", self.actor.neutral, self.actor.triangles, names,
+                               self.actor.blendshapes[: len(names)])  # fmt: skip
+        self._added: dict[str, np.ndarray] = {}
+        self._make_widget(session.fps)
+        self._redraw()
+
+    def _make_widget(self, fps: float) -> None:
+        self.mode = widgets.ToggleButtons(options=[RESOLVED, INITIAL, CORRECTIVES, SLIDERS], style={"button_width": "auto"})
+        self.sliders = {
+            name: widgets.FloatSlider(0, min=0, max=1, step=0.05, description=name, style=_STYLE, layout=_WIDE)
+            for name in self.names
+        }
+        self.turn = widgets.FloatSlider(0, min=-80, max=80, step=5, description="turn", style=_STYLE, layout=_WIDE)
+        self.expression = widgets.Dropdown(options=self.names, description="chart", style=_STYLE, layout=_WIDE)
+        self.player = Player(len(self.results), lambda index: self.draw(), fps)
+        self.chart = LiveChart((INITIAL, RESOLVED), (0, len(self.results) - 1), (-0.02, 1.02), "frame", "coefficient",
+                               "initial against re-solved", size=(460, 220))  # fmt: skip
+        self.message = widgets.HTML()
+        self._image = image_widget(self.pane * (1 + len(self.characters)), self.pane, name="adaptiveface-characters")
+        redraw = on_main_thread(self._redraw)
+        for control in (self.mode, self.turn, self.expression):
+            control.observe(lambda change: redraw(), "value")
+        for slider in self.sliders.values():
+            slider.observe(lambda change: self._to_sliders(redraw), "value")
+        box = widgets.VBox(list(self.sliders.values()), layout=widgets.Layout(max_height="260px", overflow="auto"))
+        below = widgets.HBox([box, widgets.VBox([self.expression, self.turn, self.chart.widget])],
+                             layout=widgets.Layout(flex_flow="row wrap"))  # fmt: skip
+        self.widget = widgets.VBox([self._image, self.mode, self.player.widget, self.message, below])
+
+    def _to_sliders(self, redraw) -> None:
+        if self.mode.value != SLIDERS:
+            self.mode.value = SLIDERS  # this redraws
+        else:
+            redraw()
+
+    def _redraw(self) -> None:
+        with shown_errors(lambda text: setattr(self.message, "value", text)), one_blas_thread():
+            self.draw()
+
+    def coefficients(self, index: int) -> np.ndarray:
+        """(A,) what drives the characters at a frame."""
+        if self.mode.value == SLIDERS:
+            return np.array([slider.value for slider in self.sliders.values()])
+        return (self.initial if self.mode.value == INITIAL else self.resolved)[index]
+
+    def shapes(self, index: int) -> list[np.ndarray]:
+        """Head-frame meshes of the actor and of every character."""
+        x = self.coefficients(index)
+        first = self._self.shape(x) if self.mode.value == SLIDERS else self.results[index].v4
+        curves = self._table.curves(x[None])
+        out = [first]
+        for character in self.characters:
+            shape = character.shape(character.weights(curves)[0])
+            if self.mode.value == CORRECTIVES and character.shares_topology(self.actor.triangles):
+                shape[: character.skin] += self._correctives(character)[index]
+            out.append(shape)
+        return out
+
+    def _correctives(self, character: Character) -> np.ndarray:
+        """(F, V, 3) transferred v4 - v1 of every frame, computed when first asked for."""
+        if character.name not in self._added:
+            self.message.value = f"transferring the correctives to the {character.name} ..."
+            v4 = np.stack([result.v4 for result in self.results])
+            neutral = character.neutral[: character.skin]
+            self._added[character.name] = transferred_correctives(
+                self.actor.neutral, self._self.shape(self.resolved), v4, neutral, self.actor.triangles
+            )
+            self.message.value = ""
+        return self._added[character.name]
+
+    def picture(self) -> np.ndarray:
+        """(pane, n pane, 3) uint8: everybody at the player's frame."""
+        index = self.player.index
+        rotation = FACING if self.mode.value == SLIDERS else self.results[index].rigid[:3, :3]
+        turned = rotation @ rotation_vector_matrix(np.array([0.0, np.radians(self.turn.value), 0.0]))
+        faces = zip([self._self, *self.characters], self.shapes(index), strict=True)
+        return np.hstack([portrait(face, shape, self.pane, turned, rays=1) for face, shape in faces])
+
+    def draw(self) -> None:
+        """Everybody, and the chart."""
+        self._image.value = encode(self.picture())
+        k = self.names.index(self.expression.value)
+        self.chart.update(self.player.index, **{INITIAL: self.initial[:, k], RESOLVED: self.resolved[:, k]})
+
+    def close(self) -> None:
+        """Stop playing."""
+        self.player.close()
+
+    def _ipython_display_(self) -> None:
+        from IPython.display import display
+
+        display(self.widget)
+
+
+__all__ = ["CORRECTIVES", "INITIAL", "RESOLVED", "SLIDERS", "RetargetingStudy"]
