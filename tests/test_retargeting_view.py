@@ -1,0 +1,69 @@
+"""The retargeting panel without a browser: modes, sliders, playback, correctives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ipywidgets", reason="the extra 'notebooks' is not installed")
+pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
+
+from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame  # noqa: E402
+
+from adaptiveface import views  # noqa: E402
+from adaptiveface.views.retargeting_study import CORRECTIVES, INITIAL, RESOLVED, SLIDERS, RetargetingStudy  # noqa: E402
+from adaptiveface.views.session import Session  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def study() -> RetargetingStudy:
+    """Five frames of an opening jaw."""
+    actor = exact_actor()
+    frames = [render_frame(actor, posed_shape(actor, coefficients(actor, jawOpen=0.2 * i)), head_pose(), i)
+              for i in range(5)]  # fmt: skip
+    session = Session("jaw", frames[0].camera, frames[:1], frames, _actor=actor)
+    return RetargetingStudy(session, views.Replay(frames, actor).run(), ("hag",), pane=120)
+
+
+def mouth(study, index: int) -> float:
+    """Opening of the hag's mouth, mm: inner lips in the middle."""
+    character = study.characters[0]
+    shape = study.shapes(index)[1]
+    from adaptiveface.face_model import embedded_face_model
+    from adaptiveface.mesh import surface_points
+
+    model = embedded_face_model()
+    points = surface_points(shape[: character.skin], model.feature_triangles, model.feature_weights)
+    return points[34, 1] - points[38, 1]
+
+
+def test_modes_drive_the_character(study):
+    for mode in (RESOLVED, INITIAL, CORRECTIVES):
+        study.mode.value = mode
+        assert mouth(study, 4) > mouth(study, 0) + 5
+    study.mode.value = RESOLVED
+    plain = study.shapes(4)[1]
+    study.mode.value = CORRECTIVES
+    assert np.abs(study.shapes(4)[1] - plain).max() > 0
+    assert not study.message.value
+
+
+def test_a_moved_slider_takes_over(study):
+    study.mode.value = RESOLVED
+    before = study.picture()
+    study.sliders["jawOpen"].value = 0.9
+    assert study.mode.value == SLIDERS and mouth(study, 0) > 10
+    after = study.picture()
+    assert after.shape == (120, 240, 3) and (before != after).any(axis=2).sum() > 200
+    study.turn.value = 40
+    assert (study.picture() != after).any(axis=2).sum() > 500
+
+
+def test_playback_draws_every_frame(study):
+    study.mode.value = RESOLVED
+    pictures = []
+    for index in range(5):
+        study.player.go_to(index)
+        pictures.append(bytes(study._image.value))
+    assert len(set(pictures)) == 5
+    study.close()
