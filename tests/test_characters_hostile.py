@@ -107,6 +107,10 @@ CASES = {
     "huge zero target": (lambda d: d["accessors"].__setitem__(
         d["meshes"][0]["primitives"][0]["targets"][0]["POSITION"],
         {"componentType": 5126, "count": 150_000_000, "type": "VEC3"}), "expected"),
+    "huge positions from a sparse accessor": (lambda d: d["accessors"].__setitem__(
+        d["meshes"][0]["primitives"][0]["attributes"]["POSITION"],
+        {"componentType": 5126, "count": 30_000_000, "type": "VEC3",
+         "sparse": d["accessors"][d["meshes"][0]["primitives"][0]["targets"][0]["POSITION"]]["sparse"]}), "without data"),
     "huge buffer": (_set("buffers", 0, "byteLength", 2**40), "whole number"),
     "buffer longer than the file": (_set("buffers", 0, "byteLength", 10**8), "declares"),
     "view beyond the buffer": (_set("bufferViews", 0, "byteLength", 10**8), "ends at"),

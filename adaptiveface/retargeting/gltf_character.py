@@ -94,7 +94,7 @@ def _piece(file: GltfFile, number: int, mesh: dict, primitive: dict, transform: 
             if shape.shape != vertices.shape:
                 raise file.error("a morph target does not hold three coordinates")
         else:
-            file._spend(vertices.size)
+            file.spend(vertices.size, zeros=True)
             shape = np.zeros_like(vertices)
         shapes.append(_METRES_TO_MM * shape @ transform[:3, :3].T)
     names = mesh.get("extras", {}).get("targetNames") or primitive.get("extras", {}).get("targetNames") or []
@@ -147,7 +147,7 @@ def _merged(file: GltfFile, pieces: list[_Piece]) -> list[tuple[str, np.ndarray]
 
     def add(name: str, piece: int, shape: np.ndarray, weight: float = 1.0) -> None:
         if name not in order:
-            file._spend(3 * int(starts[-1]))
+            file.spend(3 * int(starts[-1]), zeros=True)
             order[name] = np.zeros((starts[-1], 3))
         order[name][starts[piece] : starts[piece + 1]] += weight * shape
 

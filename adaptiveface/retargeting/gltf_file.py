@@ -20,7 +20,9 @@ from ..errors import FileFormatError
 
 MAX_FILE_BYTES = 1 << 30
 MAX_JSON_BYTES = 64 << 20
-MAX_VALUES = 200_000_000
+MAX_VALUES = 100_000_000
+#: Values that are zero without any data in the file: this many, and so many more for every byte of it.
+FREE_ZEROS, ZEROS_PER_BYTE = 10_000_000, 64
 MAX_ITEMS = 100_000
 _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
@@ -35,7 +37,7 @@ class GltfFile:
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        self._read_values = 0
+        self._read_values = self._zeros = 0
         self._buffers: dict[int, bytes] = {}
         with self.errors():
             self.document, self._binary = self._parse(self._bytes(self.path, MAX_FILE_BYTES))
@@ -189,7 +191,7 @@ class GltfFile:
         declared = self._whole(entry, "count", 1, MAX_VALUES)
         if count is not None and declared != count:
             raise self.error(f"accessor {index} holds {declared} elements, {count} are expected")
-        self._spend(declared * width)
+        self.spend(declared * width, zeros="bufferView" not in entry)
         if "bufferView" in entry:
             offset = self._whole(entry, "byteOffset", 0, MAX_FILE_BYTES, 0)
             values = self._view(entry["bufferView"], dtype, width, declared, offset).copy()
@@ -205,10 +207,14 @@ class GltfFile:
             return np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1.0)).astype(np.float32)
         return values
 
-    def _spend(self, values: int) -> None:
+    def spend(self, values: int, zeros: bool = False) -> None:
+        """Account for values about to be allocated; ``zeros``: the file holds no data for them. Raises when too many."""
         self._read_values += values
+        self._zeros += values if zeros else 0
         if self._read_values > MAX_VALUES:
             raise self.error(f"its accessors hold more than {MAX_VALUES} values")
+        if self._zeros > FREE_ZEROS + ZEROS_PER_BYTE * self.path.stat().st_size:
+            raise self.error(f"it declares {self._zeros} values without data, far more than its size explains")
 
     def _fill_sparse(self, sparse: dict, values: np.ndarray) -> None:
         count = self._whole(sparse, "count", 1, len(values))
