@@ -21,7 +21,7 @@ from .recording import Recording, RecordingWriter
 NOISES = tuple(DEPTH_SCALES)
 
 _POSSIBLE = (
-    "possible sources: a recording folder (with intrinsic.json, depth/, color/), "
+    "possible sources: a recording folder (with intrinsic.json, depth/, color/), a Record3D file (.r3d), "
     f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)})"
 )
 
@@ -47,7 +47,7 @@ class FrameSource(Protocol):
 
 
 def open_source(text: str) -> FrameSource:
-    """The source named by ``text``: a recording folder, ``synthetic`` or ``synthetic:SEED[:NOISE]``.
+    """The source named by ``text``: a recording folder, an .r3d file, ``synthetic`` or ``synthetic:SEED[:NOISE]``.
 
     Raises :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
     """
@@ -55,6 +55,10 @@ def open_source(text: str) -> FrameSource:
         return Recording(text)
     if text == "synthetic" or text.startswith("synthetic:"):
         return _synthetic(text)
+    if text.lower().endswith(".r3d") and Path(text).is_file():
+        from .record3d import R3dRecording
+
+        return R3dRecording(text)
     if Path(text).exists():
         raise FileFormatError(f"{text}: not a folder; {_POSSIBLE}")
     raise FileFormatError(f"{text}: no such recording; {_POSSIBLE}")

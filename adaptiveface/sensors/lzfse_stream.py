@@ -1,0 +1,63 @@
+"""LZFSE, bounded: the size that a stream unpacks to is read from its block headers before any memory is taken.
+
+Reference: the format's published reference implementation (github.com/lzfse/lzfse), block headers in lzfse_internal.h.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from ..errors import DriverMissingError, FrameError
+
+_END, _STORED, _COMPRESSED, _LZVN = b"bvx$", b"bvx-", b"bvx2", b"bvxn"
+
+
+def lzfse_module():
+    """The library; raises :class:`DriverMissingError`."""
+    try:
+        import lzfse
+    except ImportError:
+        raise DriverMissingError('reading .r3d files needs lzfse: pip install "adaptiveface[record3d]"') from None
+    return lzfse
+
+
+def decompress(packed: bytes, size: int, name: str) -> bytes:
+    """Unpack to exactly ``size`` bytes; raises :class:`FrameError` naming ``name`` for anything else."""
+    library = lzfse_module()
+    declared = unpacked_size(packed, name)
+    if declared != size:
+        raise FrameError(f"{name}: holds {declared} bytes, the image size asks for {size}")
+    try:
+        content = library.decompress(packed)
+    except Exception as error:  # the binding raises its own error type, MemoryError or ValueError
+        raise FrameError(f"{name}: damaged LZFSE data ({error})") from None
+    if len(content) != size:
+        raise FrameError(f"{name}: unpacks to {len(content)} bytes, {size} are expected")
+    return content
+
+
+def unpacked_size(packed: bytes, name: str) -> int:
+    """Bytes that the blocks say they unpack to; raises :class:`FrameError` for headers that do not add up."""
+    position, total = 0, 0
+    try:
+        while packed[position : position + 4] != _END:
+            magic, raw = struct.unpack_from("<4sI", packed, position)
+            length = _block_length(packed, position, magic, raw)
+            if length <= 0:
+                raise FrameError(f"{name}: not LZFSE data (block {magic!r} at byte {position})")
+            position, total = position + length, total + raw
+    except struct.error:
+        raise FrameError(f"{name}: the LZFSE data is cut off at byte {len(packed)}") from None
+    return total
+
+
+def _block_length(packed: bytes, position: int, magic: bytes, raw: int) -> int:
+    """Bytes of the block with its header; 0 for an unknown one."""
+    if magic == _STORED:
+        return 8 + raw
+    if magic == _LZVN:
+        return 12 + struct.unpack_from("<I", packed, position + 8)[0]
+    if magic == _COMPRESSED:
+        literals, matches, header = struct.unpack_from("<3Q", packed, position + 8)
+        return (header & 0xFFFFFFFF) + (literals >> 20 & 0xFFFFF) + (matches >> 40 & 0xFFFFF)
+    return 0

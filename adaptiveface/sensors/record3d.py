@@ -1,0 +1,202 @@
+"""``.r3d`` files of the iPhone app Record3D (TrueDepth or LiDAR): a zip with calibration, pictures and depth.
+
+    metadata            JSON: w, h (picture), dw, dh (depth), K (9, column-major, of the picture), fps,
+                        perFrameIntrinsicCoeffs ([fx, fy, cx, cy] per frame, optional), frameTimestamps (s, optional)
+    rgbd/N.jpg          picture
+    rgbd/N.depth        (dh, dw) float32 metres, LZFSE-compressed; NaN = no measurement
+    rgbd/N.conf         confidence, not used
+
+Picture and depth share one view: the picture is scaled to the depth's size, and the calibration with it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+import zipfile
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ..camera import Camera
+from ..errors import FileFormatError, FrameError
+from ..frame import RgbdFrame
+from .lzfse_stream import decompress, lzfse_module
+from .recording import DEPTH_RANGE_MM
+
+_MAX_METADATA_BYTES, _MAX_IMAGE_BYTES, _MAX_ENTRIES, _MAX_SIDE = 256 << 20, 64 << 20, 1_000_000, 8192
+_MAX_DEPTH_SIDE = 2048
+
+
+class R3dRecording:
+    """A Record3D recording, read frame by frame: ``camera`` of the first frame, ``fps``, ``name``, ``timestamps``.
+
+    Each frame carries its own camera where the file has one per frame. ``len()``, ``read(index)`` and iteration (which
+    passes over broken frames). Raises :class:`FileFormatError` for a file that cannot be used at all, and
+    :class:`DriverMissingError` without the extra ``record3d``.
+    """
+
+    has_features, depth_scale = False, 10_000.0
+
+    def __init__(self, path: str | os.PathLike) -> None:
+        lzfse_module()
+        self.path, self.name = Path(path), Path(path).stem
+        try:
+            self._zip = zipfile.ZipFile(self.path)
+        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+            raise FileFormatError(f"{self.path}: not a Record3D file ({error})") from None
+        try:
+            self._read_metadata()
+        except BaseException:
+            self._zip.close()
+            raise
+
+    def _read_metadata(self) -> None:
+        metadata = self._metadata()
+        self._size = tuple(self._side(metadata, key) for key in ("dw", "dh"))
+        picture = tuple(self._side(metadata, key) for key in ("w", "h"))
+        self._scale = self._size[0] / picture[0], self._size[1] / picture[1]
+        if not 0.98 < self._scale[0] / self._scale[1] < 1.02:
+            raise FileFormatError(f"{self.path}: depth {self._size} and picture {picture} differ in shape")
+        k = self._numbers(metadata, "K", 9)
+        entries = self._zip.namelist()
+        if len(entries) > _MAX_ENTRIES:
+            raise FileFormatError(f"{self.path}: {len(entries)} entries are too many for a recording")
+        names = (entry[5:-6] for entry in entries if entry.startswith("rgbd/") and entry.endswith(".depth"))
+        numbers = sorted(int(name) for name in names if name.isascii() and name.isdecimal() and len(name) <= 9)
+        if not numbers:
+            raise FileFormatError(f"{self.path}: no depth images (rgbd/0.depth, rgbd/1.depth, ...)")
+        self._frame_numbers, self._entries = numbers, frozenset(entries)
+        fps = metadata.get("fps", 30)
+        self.fps = float(fps) if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000 else 30.0
+        coefficients = metadata.get("perFrameIntrinsicCoeffs")
+        self._per_frame = coefficients if isinstance(coefficients, list) else []
+        self.timestamps = self._timestamps(metadata.get("frameTimestamps"))
+        try:
+            self.camera = self._camera((k[0], k[4], k[6], k[7]))
+        except FileFormatError as error:
+            raise FileFormatError(f"{self.path}: {error}") from None
+
+    def __len__(self) -> int:
+        return len(self._frame_numbers)
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        for index in range(len(self)):
+            try:
+                yield self.read(index)
+            except FrameError:
+                continue
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame ``index``: depth (dh, dw) float32 mm, colour scaled to it; raises :class:`FrameError`, IndexError."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of a recording of {len(self)}")
+        number = self._frame_numbers[index]
+        entry = f"rgbd/{number}.depth"
+        width, height = self._size
+        content = decompress(self._entry(entry, _MAX_IMAGE_BYTES), 4 * width * height, f"{self.path}: {entry}")
+        depth = np.frombuffer(content, "<f4").reshape(height, width) * np.float32(1000.0)
+        low, high = DEPTH_RANGE_MM
+        depth = np.where((depth > low) & (depth < high), depth, np.float32(0))  # NaN fails both
+        if not depth.any():
+            raise FrameError(f"{self.path}: {entry}: no measurement between {low:g} and {high:g} mm")
+        return RgbdFrame(depth, self._frame_camera(number), self._colour(number), index, float(self.timestamps[index]))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._zip.close()
+
+    def _colour(self, number: int) -> np.ndarray | None:
+        entry = f"rgbd/{number}.jpg"
+        if entry not in self._entries:
+            return None
+        content = self._entry(entry, _MAX_IMAGE_BYTES)
+        try:
+            with warnings.catch_warnings(), Image.open(BytesIO(content), formats=("JPEG", "PNG")) as image:
+                warnings.simplefilter("error", Image.DecompressionBombWarning)
+                if max(image.size) > _MAX_SIDE:
+                    raise FrameError(f"{self.path}: {entry}: {image.size} pixels are too many")
+                image.draft("RGB", self._size)
+                picture = image.convert("RGB")
+                return np.array(picture if picture.size == self._size else picture.resize(self._size, Image.BILINEAR))
+        except FrameError:
+            raise
+        except Exception as error:  # image decoders raise anything on damaged files
+            raise FrameError(f"{self.path}: {entry}: not readable as an image ({error})") from None
+
+    def _entry(self, entry: str, limit: int) -> bytes:
+        """Content of ``entry``; the zip's own sizes are checked first, and held to while unpacking."""
+        try:
+            if self._zip.getinfo(entry).file_size > limit:
+                raise FrameError(f"{self.path}: {entry}: {self._zip.getinfo(entry).file_size} bytes are too many")
+            with self._zip.open(entry) as stream:
+                content = stream.read(limit + 1)
+        except FrameError:
+            raise
+        except Exception as error:  # KeyError, BadZipFile, zlib.error, EOFError, RuntimeError (encrypted), ...
+            raise FrameError(f"{self.path}: {entry}: not readable ({error})") from None
+        if len(content) > limit:
+            raise FrameError(f"{self.path}: {entry}: more than {limit} bytes")
+        return content
+
+    def _metadata(self) -> dict:
+        try:
+            content = json.loads(self._entry("metadata", _MAX_METADATA_BYTES))
+        except FrameError as error:
+            raise FileFormatError(str(error)) from None
+        except (ValueError, RecursionError) as error:
+            raise FileFormatError(f"{self.path}: metadata is not JSON ({error})") from None
+        if not isinstance(content, dict):
+            raise FileFormatError(f"{self.path}: metadata is not a JSON object")
+        return content
+
+    def _side(self, metadata: dict, key: str) -> int:
+        value, limit = metadata.get(key), _MAX_DEPTH_SIDE if key.startswith("d") else _MAX_SIDE
+        if isinstance(value, bool) or not isinstance(value, int) or not 8 <= value <= limit:
+            raise FileFormatError(f"{self.path}: {key} = {_short(value)} is not an image size (8 to {limit})")
+        return value
+
+    def _numbers(self, metadata: dict, key: str, count: int) -> list[float]:
+        values = metadata.get(key)
+        if not (isinstance(values, list) and len(values) == count and all(map(_is_number, values))):
+            raise FileFormatError(f"{self.path}: {key} = {_short(values)} is not a list of {count} numbers")
+        return [float(value) for value in values]
+
+    def _timestamps(self, given) -> np.ndarray:
+        """(len(self),) s: the file's where it has one for every frame, else by the frame rate."""
+        if isinstance(given, list) and len(given) > self._frame_numbers[-1]:
+            values = [given[number] for number in self._frame_numbers]
+            if all(map(_is_number, values)):
+                return np.array(values, float)
+        return np.array(self._frame_numbers) / self.fps
+
+    def _frame_camera(self, number: int) -> Camera:
+        if number < len(self._per_frame):
+            values = self._per_frame[number]
+            if isinstance(values, list) and len(values) == 4 and all(map(_is_number, values)):
+                try:
+                    return self._camera(values)
+                except FileFormatError as error:
+                    raise FrameError(f"{self.path}: frame {number}: {error}") from None
+        return self.camera
+
+    def _camera(self, values) -> Camera:
+        """Calibration of the picture -> of the depth. Pixel centres are at integers, so edges scale from -0.5."""
+        fx, fy, cx, cy = values
+        (sx, sy), (width, height) = self._scale, self._size
+        return Camera(width, height, fx * sx, fy * sy, (cx + 0.5) * sx - 0.5, (cy + 0.5) * sy - 0.5)
+
+
+def _short(value) -> str:
+    try:
+        return repr(value)[:80]
+    except ValueError:  # an integer of more than 4300 digits
+        return "a huge number"
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e12
