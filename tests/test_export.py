@@ -351,6 +351,16 @@ def test_correctives_carried_to_a_character_do_something(saved):
     assert np.linalg.norm(a.shape(10) - b.shape(10), axis=1).max() > 0.5
 
 
+def test_compare_shows_initial_and_resolved_side_by_side(saved, monkeypatch):
+    shown = {}
+    monkeypatch.setattr("adaptiveface.export.command.write_performance_video",
+                        lambda out, result, meshes, *_: shown.update({mesh.name: mesh.weights for mesh in meshes}))  # fmt: skip
+    options = ["--character", "hag", "--format", "gif", "--compare"]
+    assert cli.main(["export", str(saved / "result.npz"), *options]) == 0
+    assert list(shown) == ["hag, initial", "hag, resolved"]
+    assert np.abs(shown["hag, initial"] - shown["hag, resolved"]).max() > 0.02
+
+
 @pytest.mark.parametrize(("options", "reason"), [
     (["--character", "nobody"], "neither built in"), (["--out", "x.txt"], "must end in .glb"),
     (["--out", "/nowhere/at/all/x.glb"], "does not exist"), (["--format", "mp4", "--source", "synthetic:1"], "another"),

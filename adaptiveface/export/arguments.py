@@ -25,6 +25,8 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
                          help="also carry v4 - v1 to a character of the actor's topology")  # fmt: skip
     command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside the result, if any")
     command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
+    command.add_argument("--compare", action="store_true",
+                         help="mp4, gif: the character by initial and by re-solved coefficients (figure 8)")  # fmt: skip
     command.add_argument("--turntable", action="store_true", help="mp4, gif: the camera circles the character")
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, ParameterError
+from ..retargeting import COEFFICIENTS
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
 from ..retargeting.correctives import character_correctives
@@ -53,8 +54,12 @@ def run_export(args: argparse.Namespace) -> int:
         source = open_source(args.source) if args.source else None
         if source is not None and len(source) != len(result):
             raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
-        mesh = None if args.character == "actor" else animated(result, actor, options)
-        write_performance_video(out, result, mesh, source, args.turntable)
+        meshes = [] if args.character == "actor" else [animated(result, actor, options)]
+        if args.compare and meshes:
+            names = COEFFICIENTS[::-1]
+            meshes = [animated(result, actor, replace(options, coefficients=name)) for name in names]
+            meshes = [replace(m, name=f"{m.name}, {name}") for m, name in zip(meshes, names, strict=True)]
+        write_performance_video(out, result, meshes, source, args.turntable)
         print(f"{out}: {len(result)} frames")
         return 0
     mesh = animated(result, actor, options)
@@ -127,15 +132,15 @@ def animated_character(
 
 
 def write_performance_video(
-    path: Path, result: Result, mesh: AnimatedMesh | None, source=None, turntable: bool = False, step: int = 1
+    path: Path, result: Result, meshes: list[AnimatedMesh], source=None, turntable: bool = False, step: int = 1
 ) -> None:
-    """Input (where there is a source), tracked mesh and animated character side by side; every ``step``-th frame."""
+    """Input (where there is a source), tracked mesh and animated characters side by side; every ``step``-th frame."""
     from .video import character_panel, input_panel, side_by_side, tracked_panel, turntable_panel, write_video
 
     panels, labels = [tracked_panel(result)], ["tracked"]
     if source is not None:
         panels, labels = [input_panel(source, result), *panels], ["input", *labels]
-    if mesh is not None:
+    for mesh in meshes:
         panels.append(turntable_panel(mesh) if turntable else character_panel(mesh))
         labels.append(mesh.name)
     frames = range(0, len(result), step)
@@ -151,7 +156,7 @@ def write_demo_character(name: str, result: Result, actor: Actor, source, folder
     paths = [folder / f"{character.name}.glb", folder / f"{character.name}.mp4"]
     mesh = animated_character(result, actor, character, options)
     write_glb(paths[0], mesh)
-    write_performance_video(paths[1], result, mesh, source, step=2)
+    write_performance_video(paths[1], result, [mesh], source, step=2)
     return paths
 
 
