@@ -59,6 +59,8 @@ def open_source(text: str) -> FrameSource:
         from .record3d import R3dRecording
 
         return R3dRecording(text)
+    if text.lower().endswith((".db3", ".bag")) and Path(text).is_file():
+        raise FileFormatError(f"{text}: plays from start to end only; first: adaptiveface convert {text} --out DIR")
     if Path(text).exists():
         raise FileFormatError(f"{text}: not a folder; {_POSSIBLE}")
     raise FileFormatError(f"{text}: no such recording; {_POSSIBLE}")

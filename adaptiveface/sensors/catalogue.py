@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import ParameterError, SensorError
+from ..errors import DriverMissingError, ParameterError, SensorError
 from .live import LiveSensor
 from .playback import EXPRESSION_FRAMES, NEUTRAL_FRAMES, PlaybackDriver, SyntheticDriver
 
@@ -38,13 +38,41 @@ def _synthetic(argument: str) -> LiveSensor:
     return LiveSensor(lambda: SyntheticDriver(source, frames), open_timeout=180.0)
 
 
-_KINDS = {"synthetic": _synthetic}
-POSSIBLE = "possible sensors: 'synthetic[:SEED[:NOISE]]', or the path of a recording"
+def _realsense(serial: str) -> LiveSensor:
+    from .realsense import RealSenseDriver
+
+    if len(serial) > 32:
+        raise ParameterError(f"realsense:{serial[:32]}...: a serial number is shorter")
+    return LiveSensor(lambda: RealSenseDriver(serial))
+
+
+_KINDS = {"synthetic": _synthetic, "realsense": _realsense}
+_REALSENSE_FILES = (".db3", ".bag")
+POSSIBLE = (
+    "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', "
+    "or the path of a recording (folder, .r3d, .db3, .bag)"
+)
 
 
 def list_sensors() -> list[SensorInfo]:
     """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
-    return [SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")]
+    synthetic = SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")
+    return [synthetic, *_realsense_cameras()]
+
+
+def _realsense_cameras() -> list[SensorInfo]:
+    from .realsense import connected_cameras
+
+    description = "Intel RealSense"
+    try:
+        cameras = connected_cameras()
+    except DriverMissingError as error:
+        return [SensorInfo("realsense", description, str(error))]
+    except RuntimeError as error:  # no access to the USB bus
+        return [SensorInfo("realsense", description, f"the driver failed ({error})")]
+    if not cameras:
+        return [SensorInfo("realsense", description, "no camera is connected")]
+    return [SensorInfo(f"realsense:{serial}", name) for serial, name in cameras]
 
 
 def open_sensor(text: str) -> LiveSensor:
@@ -62,6 +90,10 @@ def open_sensor(text: str) -> LiveSensor:
 
 
 def _open_path(path: Path) -> LiveSensor:
+    if path.suffix.lower() in _REALSENSE_FILES and path.is_file():
+        from .realsense import RealSenseDriver
+
+        return LiveSensor(lambda: RealSenseDriver(path=path), reconnect=False)
     from . import open_source
 
     source = open_source(str(path))

@@ -121,7 +121,7 @@ class LiveSensor:
         self.name, self.live = self._driver.name, self._driver.live
         self.fps, self.depth_scale = self._driver.fps, self._driver.depth_scale
         self.has_features = self._driver.has_features
-        self.dropped, self.discarded = 0, 0  #: frames never handed out; of them unusable, repeated or out of order
+        self.dropped, self.discarded = 0, 0  #: never handed out; unusable, repeated or out of order
         self._changed = threading.Condition()
         self._unread: deque[LiveFrame] = deque()
         self._capacity = 1
@@ -213,6 +213,7 @@ class LiveSensor:
             try:
                 driver = driver or self._make_driver()
                 driver.open()
+                self.fps, self.depth_scale = driver.fps, driver.depth_scale
                 self._last = None  # a sensor that comes back counts from the start
                 self._set(connected=True)
                 self._pump(driver)
@@ -237,8 +238,7 @@ class LiveSensor:
     def _publish(self, raw: RawFrame) -> None:
         behind = None if self._last is None else self._last - raw.sequence
         if (behind is not None and 0 <= behind <= RESTART_GAP) or not _usable(raw):
-            self.discarded += 1
-            self.dropped += 1
+            self.discarded += 1  # a late or unusable one was counted as dropped where its number was missing
             return
         lost = max(-behind - 1, 0) if behind is not None and behind < 0 else 0
         self._last = raw.sequence

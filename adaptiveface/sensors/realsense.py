@@ -1,0 +1,157 @@
+"""Intel RealSense through pyrealsense2: connected cameras, and playback of ``.db3`` and ``.bag`` recordings.
+
+Colour is aligned to depth by the SDK; where depth has no measurement the aligned picture is black.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import (
+    DriverMissingError,
+    EndOfRecording,
+    FileFormatError,
+    SensorDisconnectedError,
+    SensorError,
+    SensorNotFoundError,
+)
+from .live import RawFrame
+
+#: Size and rate that every D400 camera has for both streams.
+WIDTH, HEIGHT, FPS = 640, 480, 30
+#: A picture taken longer than this before or after its depth is not the same moment, ms.
+MAX_SKEW_MS = 50.0
+#: Playback that gives nothing for so long has ended, whatever its status says, s.
+PLAYBACK_PATIENCE = 3.0
+
+
+def realsense_module():
+    """The vendor's library; raises :class:`DriverMissingError`."""
+    try:
+        import pyrealsense2
+    except ImportError:
+        raise DriverMissingError('RealSense needs pyrealsense2: pip install "adaptiveface[realsense]"') from None
+    return pyrealsense2
+
+
+def connected_cameras() -> list[tuple[str, str]]:
+    """(serial number, name) of every connected camera."""
+    rs = realsense_module()
+    fields = rs.camera_info.serial_number, rs.camera_info.name
+    return [tuple(device.get_info(field) for field in fields) for device in rs.context().query_devices()]
+
+
+class RealSenseDriver:
+    """One camera, by serial number or the first one; or a recording at ``path``, played as fast as it is read.
+
+    ``device``: an SDK device to use instead, e.g. a software device.
+    """
+
+    has_features, fps, depth_scale = False, float(FPS), 1000.0
+
+    def __init__(self, serial: str = "", path: Path | None = None, device=None) -> None:
+        self._rs = realsense_module()
+        self.serial, self.path, self._injected = serial, path, device
+        self.live = path is None
+        self.name = path.stem if path else f"RealSense {serial}".strip()
+        self._pipeline = None
+
+    def open(self) -> None:
+        """Start both streams; raises :class:`SensorNotFoundError`, :class:`FileFormatError`, :class:`SensorError`."""
+        rs = self._rs
+        if self.live and self._injected is None:
+            self._find()  # the SDK would wait 15 s for a camera
+        pipeline, config = rs.pipeline(), rs.config()
+        try:
+            self._start(pipeline, config)
+        except RuntimeError as error:
+            if not self.live:
+                raise FileFormatError(f"{self.path}: not a RealSense recording with depth ({error})") from None
+            raise SensorError(f"{self.name}: cannot start depth and colour ({error}); use a USB 3 port") from None
+        self._align = rs.align(rs.stream.depth)
+        self._last_frame = time.perf_counter()
+
+    def _start(self, pipeline, config) -> None:
+        rs = self._rs
+        if self.live:
+            if self._injected is not None:
+                pipeline.set_device(self._injected)
+            elif self.serial:
+                config.enable_device(self.serial)
+            config.enable_stream(rs.stream.depth, WIDTH, HEIGHT, rs.format.z16, FPS)
+            config.enable_stream(rs.stream.color, WIDTH, HEIGHT, rs.format.rgb8, FPS)
+        else:
+            config.enable_device_from_file(str(self.path), repeat_playback=False)
+            resolved = config.resolve(rs.pipeline_wrapper(pipeline))  # real time off before the start: no frame lost
+            resolved.get_device().as_playback().set_real_time(False)
+        profile = pipeline.start(config)
+        self._pipeline, self._device = pipeline, profile.get_device()
+        stream = profile.get_stream(rs.stream.depth).as_video_stream_profile()
+        self.fps = float(stream.fps())
+        self.camera = self._camera(stream.get_intrinsics())
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The next pair of depth and colour; None where one of them is missing or of another moment."""
+        arrived, frames = self._pipeline.try_wait_for_frames(max(int(timeout * 1000), 1))
+        if not arrived:
+            self._check_end()
+            return None
+        self._last_frame = time.perf_counter()
+        depth, colour = frames.get_depth_frame(), frames.get_color_frame()
+        if not depth or (colour and _skewed(depth, colour)):
+            return None
+        if colour:
+            aligned = self._align.process(frames)
+            depth, colour = aligned.get_depth_frame(), aligned.get_color_frame()
+        self.depth_scale = round(1.0 / depth.get_units(), 2)  # the SDK's unit is a float32, 0.0001 not quite
+        millimetres = np.asanyarray(depth.get_data()) * np.float32(1000.0 / self.depth_scale)
+        picture = self._rgb(colour) if colour else None
+        return RawFrame(millimetres, self.camera, picture, depth.get_frame_number(), depth.get_timestamp() / 1000.0)
+
+    def close(self) -> None:
+        """Stop the streams."""
+        pipeline, self._pipeline, self._device = self._pipeline, None, None
+        if pipeline is not None:
+            pipeline.stop()
+
+    def _find(self) -> None:
+        serials = [serial for serial, _ in connected_cameras()]
+        if not serials:
+            raise SensorNotFoundError(f"{self.name}: no RealSense camera is connected; check the cable and the port")
+        if self.serial and self.serial not in serials:
+            raise SensorNotFoundError(f"{self.name}: not connected; connected are {', '.join(serials)}")
+
+    def _check_end(self) -> None:
+        waited = time.perf_counter() - self._last_frame
+        if self.live:
+            if not self._device.is_connected():
+                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+            return
+        stopped = self._device.as_playback().current_status() == self._rs.playback_status.stopped
+        if stopped or waited > PLAYBACK_PATIENCE:
+            raise EndOfRecording(f"{self.path}: the end of the recording")
+
+    def _camera(self, intrinsics) -> Camera:
+        if any(intrinsics.coeffs):
+            raise SensorError(f"{self.name}: depth with lens distortion {list(intrinsics.coeffs)} is not supported")
+        i = intrinsics
+        return Camera(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy)
+
+    def _rgb(self, colour) -> np.ndarray:
+        pixels, layout = np.asanyarray(colour.get_data()), colour.profile.format()
+        formats = self._rs.format
+        if layout in (formats.rgb8, formats.rgba8):
+            return pixels[..., :3]
+        if layout in (formats.bgr8, formats.bgra8):
+            return pixels[..., 2::-1]
+        raise SensorError(f"{self.name}: colour format {layout.name} is not supported; record rgb8 or bgr8")
+
+
+def _skewed(depth, colour) -> bool:
+    """Whether the picture is of another moment: the SDK repeats the last one when the colour stream stalls."""
+    same_clock = depth.frame_timestamp_domain == colour.frame_timestamp_domain
+    return same_clock and abs(depth.get_timestamp() - colour.get_timestamp()) > MAX_SKEW_MS
