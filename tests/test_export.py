@@ -475,3 +475,18 @@ def test_stream_command_tracks_and_sends(scene, saved, capsys, monkeypatch):
     assert len(jaw) == 6 and jaw[0] < 0.1
     assert jaw[-1] == pytest.approx(0.6, abs=0.12) and np.all(np.diff(jaw) > 0)
     assert f"VMC to {LOOPBACK}:{port}" in capsys.readouterr().out
+
+
+def test_usd_validators_find_nothing(files, tmp_path):
+    pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
+    try:
+        from pxr import Usd, UsdValidation
+    except ImportError:
+        pytest.skip("this usd-core has no validators")
+    from adaptiveface.export.usd import write_usd
+
+    write_usd(tmp_path / "actor.usdc", files[1]["actor"])
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert validators
+    errors = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(tmp_path / "actor.usdc")))
+    assert not errors, [error.GetMessage() for error in errors]
