@@ -5,6 +5,7 @@ A Sphinx extension too: it turns the plain-text docstrings into valid reStructur
 
 from __future__ import annotations
 
+import json
 import pkgutil
 import re
 import shutil
@@ -22,7 +23,7 @@ def write_pages(docs: Path) -> None:
     wanted = {pages / "parameters.md": parameters_page(), pages / "api" / "index.md": api_index()}
     wanted |= {pages / "api" / f"{name}.md": module_page(name) for name in public_modules()}
     for path in _notebooks():
-        wanted[pages / "notebooks" / path.relative_to(NOTEBOOKS)] = path.read_text(encoding="utf-8")
+        wanted[pages / "notebooks" / path.relative_to(NOTEBOOKS)] = notebook_page(path, docs)
     wanted[pages / "notebooks" / "index.md"] = notebooks_index(docs)
     for old in set(pages.rglob("*.*")) - set(wanted):
         old.unlink()
@@ -101,6 +102,21 @@ def _notebooks() -> list[Path]:
     return sorted(p for p in NOTEBOOKS.rglob("*.ipynb") if ".ipynb_checkpoints" not in p.parts)
 
 
+def _picture(docs: Path, name: str) -> Path:
+    """Screenshot of the notebook whose name starts with its number."""
+    return docs / "pictures" / f"notebook_{name[:2]}.jpg"
+
+
+def notebook_page(path: Path, docs: Path) -> str:
+    """A notebook as it is, with its screenshot under the title: panels show only in Jupyter."""
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    picture = _picture(docs, path.name)
+    if path.parent == NOTEBOOKS and picture.exists():
+        source = f"![This notebook in JupyterLab]({picture.name})"
+        notebook["cells"].insert(1, {"cell_type": "markdown", "id": "screenshot", "metadata": {}, "source": source})
+    return json.dumps(notebook, indent=1, ensure_ascii=False) + "\n"
+
+
 def notebooks_index(docs: Path) -> str:
     """All notebooks with their pictures, and the solutions."""
     names = [path.relative_to(NOTEBOOKS).with_suffix("").as_posix() for path in _notebooks()]
@@ -114,7 +130,7 @@ def notebooks_index(docs: Path) -> str:
     ):
         lines += [f"## {title}", "", "```{toctree}", ":maxdepth: 1", "", *chosen, "```", ""]
         for name in chosen:
-            picture = docs / "pictures" / f"notebook_{name[:2]}.jpg"
+            picture = _picture(docs, name)
             if "/" not in name and picture.exists():
                 lines += [f"![Notebook {name[:2]} in JupyterLab]({picture.name})", ""]
     return "\n".join(lines)
