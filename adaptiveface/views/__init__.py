@@ -4,6 +4,8 @@ Needs the extra ``notebooks``. :func:`load_session` gives a performance, :class:
 the studies (:mod:`.laplacian_study` and its neighbours) hold what one notebook alone needs.
 """
 
+from threadpoolctl import threadpool_limits
+
 from ..errors import MissingExtraError
 from ..parameters import Parameters
 
@@ -25,6 +27,9 @@ from .player import Player
 from .replay import Replay
 from .session import Session, fast, load_session
 from .workbench import SeriesCache, Workbench, error_chart, figure_11
+
+# For the whole kernel: on shared cores a second BLAS thread stalls small products for up to 100 ms, a stutter.
+threadpool_limits(limits=1, user_api="blas")
 
 __all__ = [
     "CameraView", "FaceView", "GridChart", "LiveChart", "Measures", "ParameterPanel",

@@ -50,7 +50,9 @@ class FaceView:
             drawn = self.plotter.add_mesh(mesh, scalars="lit", rgb=True, lighting=False, show_scalar_bar=False)
             self._actors.append(drawn)
             if title:
-                self.plotter.add_text(title, position="upper_left", font_size=9, color="black")
+                # In a corner, pyvista would scale the text to its length.
+                place = (0.01, 1 - (19 + 14 * title.count("\n")) / pane[1])
+                self.plotter.add_text(title, position=place, viewport=True, font_size=7, color="black")
             self._meshes.append(mesh)
             self._colours.append(np.full((len(vertices), 3), SKIN))
             self._normals.append(vertex_normals(np.asarray(vertices, float), self._triangles))

@@ -14,7 +14,7 @@ TITLES = {
     "fusion": "fusion (section 3)", "fit": "identity fit (section 3)", "shrink_wrap": "shrink-wrap (section 3)",
     "depth": "depth map (4.1)", "rigid": "rigid ICP (4.1)",
     "blendshapes": "blendshape fit (4.2)",
-    "kalman": "Kalman filter (4.2)", "laplacian": "Laplacian deformation (4.3, 4.4)",
+    "kalman": "Kalman filter (4.2)", "laplacian": "Laplacian (4.3, 4.4)",
     "adaptive_pca": "adaptive PCA (5)",
 }  # fmt: skip
 OnChange = Callable[[Parameters], None]

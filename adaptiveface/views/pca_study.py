@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import numpy as np
 from scipy.linalg import subspace_angles
 
@@ -9,6 +11,7 @@ from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.types import SampleState
 from .charts import LiveChart
 from .face_view import FaceView
+from .kernel import BackgroundTask, running_loop
 from .replay import Replay
 from .session import Session
 
@@ -25,11 +28,23 @@ class CorrectiveView:
         self.view = FaceView.of(
             session.actor, titles, limits=(0, reach), label=f"displacement, scaled to {reach:g} mm", pane=(200, 230)
         )
-        self.widget, self._last = self.view.widget, None
+        self.widget, self._last, self._wanted = self.view.widget, None, None
+        self._task = BackgroundTask()
 
     def update(self, model: AdaptiveModel) -> None:
-        if model.correctives is self._last:
-            return
+        """Show a model's correctives, soon and at most 2.5 times a second: playback must not wait for these pictures."""
+        self._wanted = model
+        if running_loop() is None:
+            self._draw(model)
+        elif model.correctives is not self._last and not self._task.running:
+            self._task.start(self._follow())
+
+    async def _follow(self) -> None:
+        while self._wanted.correctives is not self._last:
+            self._draw(self._wanted)
+            await asyncio.sleep(0.4)
+
+    def _draw(self, model: AdaptiveModel) -> None:
         self._last = model.correctives
         for k in range(len(self.view._meshes)):
             heat = np.full(len(self.actor.neutral), np.nan)
@@ -43,6 +58,8 @@ class CorrectiveView:
         self.view.refresh()
 
     def close(self) -> None:
+        """Stop following and free the renderer; the last picture stays."""
+        self._task.stop()
         self.view.close()
 
 
@@ -73,7 +90,7 @@ def angle_chart(session: Session, every: int = 10):
     chart = LiveChart(
         ("angle",),
         (0, len(session.frames) - 1),
-        (0, 90),
+        (0, 30),
         "frame",
         "angle, degrees",
         "mean angle to batch PCA",

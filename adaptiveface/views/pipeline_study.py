@@ -42,7 +42,10 @@ class AblationView:
         self._runs = [runs[tuple(variant.changes.items())] for variant in self.variants]
         columns = min(3, len(self.variants))
         shape = (-(-len(self.variants) // columns), columns)
-        titles = [variant.name.replace(" and the", "\nand the") for variant in self.variants]
+        names = (variant.name for variant in self.variants)
+        titles = [
+            name.replace("without the adaptive space and the final deformation", "v2 as the output") for name in names
+        ]
         self.view = FaceView.of(
             session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(300, 330)
         )

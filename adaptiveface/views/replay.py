@@ -11,7 +11,6 @@ import numpy as np
 from ..actor import Actor
 from ..frame import RgbdFrame
 from ..parameters import Parameters
-from ..pipeline import one_blas_thread
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.expression import BlendshapeFit
 from ..tracking.kalman import CoefficientFilter
@@ -112,8 +111,7 @@ class Replay:
 
         Nothing changes when the preview fails (its error is raised).
         """
-        with one_blas_thread():
-            result = self.preview(parameters, index)
+        result = self.preview(parameters, index)
         self.results[index] = result
         self._task.stop()
         self.parameters = parameters
@@ -153,8 +151,7 @@ class Replay:
     def _advance(self) -> None:
         index = self.done
         self._before[index] = snapshot(self.tracker)
-        with one_blas_thread():
-            self.results[index] = self.tracker.track(self.frames[index])
+        self.results[index] = self.tracker.track(self.frames[index])
         self.done += 1
         self.on_result(index)
 

@@ -52,7 +52,9 @@ class RetargetingStudy:
         self._redraw()
 
     def _make_widget(self, fps: float) -> None:
-        self.mode = widgets.ToggleButtons(options=[RESOLVED, INITIAL, CORRECTIVES, SLIDERS], style={"button_width": "auto"})
+        self.mode = widgets.ToggleButtons(
+            options=[RESOLVED, INITIAL, CORRECTIVES, SLIDERS], style={"button_width": "auto"}
+        )
         self.sliders = {
             name: widgets.FloatSlider(0, min=0, max=1, step=0.05, description=name, style=_STYLE, layout=_WIDE)
             for name in self.names
