@@ -155,6 +155,15 @@ class BlendshapeParameters(_Stage):
     temporal: float = parameter(
         30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
     )
+    sparsity: float = parameter(
+        2.5,
+        "what an expression must explain of v4 to take part in the re-solve",
+        unit="mm over the face",
+        section="6",
+        low=0,
+        high=1e3,
+        paper=0.0,
+    )
     joint_pose: bool = parameter(True, "solve the rigid pose together with the coefficients", paper=False)
 
 

@@ -159,7 +159,7 @@ def test_blendshape_fit_recovers_known_coefficients(actor, joint):
 
 def test_resolve_returns_the_coefficients_of_a_blendshape_mesh(actor):
     truth = coefficients(actor, jawOpen=0.3, mouthPucker=0.5, eyeBlinkLeft=1.0)
-    fit = BlendshapeFit(actor, BlendshapeParameters(ridge=0.0))
+    fit = BlendshapeFit(actor, BlendshapeParameters(ridge=0.0, sparsity=0.0))
     np.testing.assert_allclose(fit.resolve(posed_shape(actor, truth), np.zeros(23)), truth, atol=1e-4)
 
 

@@ -1,13 +1,6 @@
-"""Coefficients re-solved from the final mesh (section 6), with the preference for few expressions.
+"""Coefficients re-solved from final meshes (section 6) of any expressions of an actor, after the fact.
 
-The plain bounded fit of the blendshapes to v4 spreads what they cannot express over many small coefficients, since v4
-holds more than the initial fit saw: it comes out no closer to the true coefficients than the initial ones. Faces use
-few expressions at a time. So the fit is
-
-    min_x |B x - (v4 - b0)|^2 + ridge |x|^2 + 2 sparsity sum_k |b_k| x_k,   0 <= x <= 1
-
-over the frontal region, a non-negative lasso (Tibshirani 1996) whose penalty weighs every expression by its size |b_k|:
-as if every expression had to explain at least ``sparsity`` mm (root of the summed squares over the face) to take part.
+As the tracker does for every frame (:func:`adaptiveface.tracking.expression.sparsity_penalty` says why few coefficients).
 ``data_synth/evaluate_retargeting.py`` prints what it brings.
 """
 
@@ -19,11 +12,11 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import FileFormatError
+from ..parameters import BlendshapeParameters
 from ..tracking.bounded import bounded_least_squares
+from ..tracking.expression import sparsity_penalty
 
-#: mm over a face of this many frontal vertices; chosen on performers 3 to 6.
-SPARSITY, REFERENCE_VERTICES = 2.5, 3500
-RIDGE = 10.0
+SPARSITY, RIDGE = BlendshapeParameters().sparsity, BlendshapeParameters().ridge
 
 
 class SparseResolve:
@@ -38,8 +31,7 @@ class SparseResolve:
         self._neutral = actor.neutral[actor.frontal]
         self._basis = actor.blendshapes[rows][:, actor.frontal].reshape(len(rows), -1)
         gram = self._basis @ self._basis.T
-        scale = sparsity * np.sqrt(actor.frontal.sum() / REFERENCE_VERTICES)
-        self._penalty = scale * np.sqrt(np.diag(gram))
+        self._penalty = sparsity_penalty(gram, sparsity, int(actor.frontal.sum()))
         self._gram = gram + ridge * np.eye(len(rows))
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:

@@ -94,6 +94,7 @@ class BlendshapeFit:
         self._flat = self.basis.reshape(count, -1)
         frontal = self.basis[:, actor.frontal].reshape(count, -1)
         self._frontal, self._frontal_basis, self._frontal_gram = actor.frontal, frontal, frontal @ frontal.T
+        self._penalty = sparsity_penalty(self._frontal_gram, parameters.sparsity, int(actor.frontal.sum()))
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """v1 = b0 + B x, (N, 3) in the head frame."""
@@ -165,8 +166,26 @@ class BlendshapeFit:
         return eliminated[:, -1] - eliminated[:, :-1] @ x, x
 
     def resolve(self, vertices: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Section 6: bounded coefficients (A,) closest to a head-frame mesh (N, 3) over the frontal region."""
+        """Section 6: few bounded coefficients (A,) that explain a head-frame mesh (N, 3) over the frontal region.
+
+        ``x`` (A,) a first guess. See :func:`sparsity_penalty` for the departure from the paper.
+        """
         displacement = (vertices - self.neutral)[self._frontal].ravel()
         lower, upper = np.full(len(x), self.parameters.lower), np.full(len(x), self.parameters.upper)
-        ridge = self.parameters.ridge * np.eye(len(x))
-        return bounded_least_squares(self._frontal_gram + ridge, self._frontal_basis @ displacement, lower, upper, x)
+        h = self._frontal_gram + self.parameters.ridge * np.eye(len(x))
+        return bounded_least_squares(h, self._frontal_basis @ displacement - self._penalty, lower, upper, x)
+
+
+#: ``blendshapes.sparsity`` is stated for a face of this many frontal vertices.
+SPARSITY_VERTICES = 3500
+
+
+def sparsity_penalty(gram: np.ndarray, sparsity: float, vertices: int) -> np.ndarray:
+    """(A,) half the weights of sum_k w_k x_k in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
+
+    v4 holds more than the blendshapes can express, and a plain bounded fit spreads that over many small coefficients: it
+    comes out no closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use few
+    expressions at a time, so each must explain at least ``sparsity`` mm (root of the summed squares over the face) to
+    take part: a non-negative lasso (Tibshirani 1996) that weighs every expression by its size |b_k|.
+    """
+    return sparsity * np.sqrt(vertices / SPARSITY_VERTICES) * np.sqrt(np.diag(gram))
