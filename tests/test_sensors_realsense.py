@@ -129,7 +129,7 @@ def test_no_camera_connected():
         open_sensor("realsense")
     with pytest.raises(SensorNotFoundError):
         open_sensor("realsense:123456")
-    assert {info.name: info.state for info in list_sensors()}["realsense"] == "no camera is connected"
+    assert {info.name: info.state for info in list_sensors()}["realsense"] == "not connected"
 
 
 def test_without_the_driver_the_pip_line_is_given(monkeypatch):

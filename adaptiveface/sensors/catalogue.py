@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,10 +47,16 @@ def _realsense(serial: str) -> LiveSensor:
     return LiveSensor(lambda: RealSenseDriver(serial))
 
 
-_KINDS = {"synthetic": _synthetic, "realsense": _realsense}
+def _record3d(identifier: str) -> LiveSensor:
+    from .record3d_stream import Record3DDriver
+
+    return LiveSensor(lambda: Record3DDriver(identifier))
+
+
+_KINDS = {"synthetic": _synthetic, "realsense": _realsense, "record3d": _record3d}
 _REALSENSE_FILES = (".db3", ".bag")
 POSSIBLE = (
-    "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', "
+    "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
     "or the path of a recording (folder, .r3d, .db3, .bag)"
 )
 
@@ -57,22 +64,33 @@ POSSIBLE = (
 def list_sensors() -> list[SensorInfo]:
     """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
     synthetic = SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")
-    return [synthetic, *_realsense_cameras()]
+    return [synthetic, *_realsense_cameras(), *_phones()]
 
 
 def _realsense_cameras() -> list[SensorInfo]:
     from .realsense import connected_cameras
 
-    description = "Intel RealSense"
+    return _connected("realsense", "Intel RealSense", connected_cameras)
+
+
+def _phones() -> list[SensorInfo]:
+    from .record3d_stream import connected_phones
+
+    description = "iPhone with the app Record3D, by USB"
+    return _connected("record3d", description, lambda: [(phone, description) for phone in connected_phones()])
+
+
+def _connected(kind: str, description: str, find: Callable[[], list[tuple[str, str]]]) -> list[SensorInfo]:
+    """One entry per device that ``find`` returns as (serial number, name), or one that says why there is none."""
     try:
-        cameras = connected_cameras()
+        devices = find()
     except DriverMissingError as error:
-        return [SensorInfo("realsense", description, str(error))]
+        return [SensorInfo(kind, description, str(error))]
     except RuntimeError as error:  # no access to the USB bus
-        return [SensorInfo("realsense", description, f"the driver failed ({error})")]
-    if not cameras:
-        return [SensorInfo("realsense", description, "no camera is connected")]
-    return [SensorInfo(f"realsense:{serial}", name) for serial, name in cameras]
+        return [SensorInfo(kind, description, f"the driver failed ({error})")]
+    if not devices:
+        return [SensorInfo(kind, description, "not connected")]
+    return [SensorInfo(f"{kind}:{serial}", name) for serial, name in devices]
 
 
 def open_sensor(text: str) -> LiveSensor:

@@ -58,9 +58,8 @@ class R3dRecording:
     def _read_metadata(self) -> None:
         metadata = self._metadata()
         self._size = tuple(self._side(metadata, key) for key in ("dw", "dh"))
-        picture = tuple(self._side(metadata, key) for key in ("w", "h"))
-        self._scale = self._size[0] / picture[0], self._size[1] / picture[1]
-        if not 0.98 < self._scale[0] / self._scale[1] < 1.02:
+        self._picture = picture = tuple(self._side(metadata, key) for key in ("w", "h"))
+        if not 0.98 < self._size[0] * picture[1] / (self._size[1] * picture[0]) < 1.02:
             raise FileFormatError(f"{self.path}: depth {self._size} and picture {picture} differ in shape")
         k = self._numbers(metadata, "K", 9)
         entries = self._zip.namelist()
@@ -185,10 +184,14 @@ class R3dRecording:
         return self.camera
 
     def _camera(self, values) -> Camera:
-        """Calibration of the picture -> of the depth. Pixel centres are at integers, so edges scale from -0.5."""
-        fx, fy, cx, cy = values
-        (sx, sy), (width, height) = self._scale, self._size
-        return Camera(width, height, fx * sx, fy * sy, (cx + 0.5) * sx - 0.5, (cy + 0.5) * sy - 0.5)
+        return scaled_camera(values, self._picture, self._size)
+
+
+def scaled_camera(values, picture: tuple[int, int], depth: tuple[int, int]) -> Camera:
+    """Calibration fx, fy, cx, cy of a picture (w, h) -> that of the depth. Pixel edges scale: they start at -0.5."""
+    fx, fy, cx, cy = values
+    sx, sy = depth[0] / picture[0], depth[1] / picture[1]
+    return Camera(*depth, fx * sx, fy * sy, (cx + 0.5) * sx - 0.5, (cy + 0.5) * sy - 0.5)
 
 
 def _short(value) -> str:

@@ -1,0 +1,104 @@
+"""iPhone TrueDepth live: the app Record3D streams by USB, the package ``record3d`` receives.
+
+The stream has no clock and no frame numbers: frames are counted and timed as they arrive. The picture is scaled to the
+depth, and handed over the way round in which the app sends it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+from PIL import Image
+
+from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from .live import RawFrame
+from .record3d import scaled_camera
+
+#: Closed streams. The library's thread may run on after disconnecting, and freeing its stream then ends the process.
+_RETIRED: list = []
+
+
+def record3d_stream_class():
+    """The library's stream; raises :class:`DriverMissingError`."""
+    try:
+        from record3d import Record3DStream
+    except ImportError:
+        raise DriverMissingError('the Record3D stream needs record3d: pip install "adaptiveface[record3d]"') from None
+    return Record3DStream
+
+
+def connected_phones() -> list[str]:
+    """Identifiers (UDID) of the connected iPhones."""
+    return [device.udid for device in record3d_stream_class().get_connected_devices()]
+
+
+class Record3DDriver:
+    """One iPhone, by its identifier or the first one."""
+
+    live, has_features, fps, depth_scale = True, False, 30.0, 10_000.0
+
+    def __init__(self, identifier: str = "") -> None:
+        self._stream_class = record3d_stream_class()
+        self.identifier, self.name = identifier, f"Record3D {identifier}".strip()
+        self._arrived = threading.Condition()
+        self._newest: RawFrame | None = None
+        self._stopped, self._count, self._stream = False, 0, None
+
+    def open(self) -> None:
+        """Connect; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
+        devices = list(self._stream_class.get_connected_devices())
+        device = next((d for d in devices if self.identifier in ("", d.udid)), None)
+        if device is None:
+            found = ", ".join(d.udid for d in devices) or "none"
+            raise SensorNotFoundError(f"{self.name}: no such iPhone by USB (found: {found}); plug it in and unlock it")
+        self._stream = self._stream_class()
+        self._stream.on_new_frame = self._on_frame
+        self._stream.on_stream_stopped = self._on_stopped
+        if not self._stream.connect(device):
+            raise SensorError(f"{self.name}: no answer; open Record3D, choose USB streaming and press record")
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The newest frame that arrived."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._newest is not None or self._stopped, timeout)
+            frame, self._newest = self._newest, None
+            if frame is None and self._stopped:
+                raise SensorDisconnectedError(f"{self.name}: the stream stopped; press record in the app again")
+            return frame
+
+    def close(self) -> None:
+        """Disconnect."""
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            _RETIRED.append(stream)
+            if not self._stopped:
+                stream.disconnect()
+
+    # ---- called by the library's thread ----------------------------------------------------------------------------
+    def _on_frame(self) -> None:
+        stream = self._stream
+        if stream is None:
+            return
+        k = stream.get_intrinsic_mat()
+        depth = np.array(stream.get_depth_frame(), np.float32) * np.float32(1000.0)
+        picture = np.array(stream.get_rgb_frame(), np.uint8)
+        frame = aligned_frame(depth, picture, (k.fx, k.fy, k.tx, k.ty), self._count)
+        with self._arrived:
+            self._newest, self._count = frame, self._count + 1
+            self._arrived.notify_all()
+
+    def _on_stopped(self) -> None:
+        with self._arrived:
+            self._stopped = True
+            self._arrived.notify_all()
+
+
+def aligned_frame(depth: np.ndarray, picture: np.ndarray, intrinsics, number: int) -> RawFrame:
+    """``depth`` (h, w) mm and the ``picture`` (H, W, 3) of the same view with its ``intrinsics`` fx, fy, cx, cy."""
+    (height, width), (rows, columns) = depth.shape, picture.shape[:2]
+    camera = scaled_camera(intrinsics, (columns, rows), (width, height))
+    if (rows, columns) != (height, width):
+        picture = np.array(Image.fromarray(picture).resize((width, height), Image.BILINEAR))
+    return RawFrame(depth, camera, picture, number, time.perf_counter())
