@@ -6,6 +6,7 @@ depth, and handed over the way round in which the app sends it.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 
@@ -25,7 +26,10 @@ def record3d_stream_class():
     try:
         from record3d import Record3DStream
     except ImportError:
-        raise DriverMissingError('the Record3D stream needs record3d: pip install "adaptiveface[record3d]"') from None
+        line = 'pip install "adaptiveface[record3d]"'
+        if sys.platform == "darwin":  # no wheel for macOS
+            line += " and, with CMake, pip install record3d"
+        raise DriverMissingError(f"the Record3D stream needs record3d: {line}") from None
     return Record3DStream
 
 
