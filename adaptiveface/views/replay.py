@@ -132,7 +132,7 @@ class Replay:
             tracker.model = self._relearned(tracker, parameters, index)
         return tracker.track(self.frames[index])
 
-    def _relearned(self, tracker: FaceTracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
+    def _relearned(self, tracker: FaceTracker, parameters: Parameters, index: int, most: int = 30) -> AdaptiveModel:
         """A model fed with the earlier frames' deformations v2 - v1; at most ``most`` of them, to answer at once."""
         model = AdaptiveModel(self.actor, tracker.blendshapes.basis, parameters.adaptive_pca)
         samples = [
