@@ -23,6 +23,7 @@ from adaptiveface.face_model import embedded_face_model
 from adaptiveface.pipeline import capture_from, track_source
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.retargeting.correctives import transferred_correctives
+from adaptiveface.retargeting.resolve import SparseResolve
 from adaptiveface.retargeting.retarget import driving_coefficients, head_frames
 from adaptiveface.retargeting.smoothing import OneEuro, jitter, step_lag
 from adaptiveface.synthetic.performer import Performer
@@ -66,8 +67,12 @@ def performances(seed: int, frames: int, noise: str):
 def coefficient_errors(sensor, truth, result, actor) -> dict[str, float]:
     """Root mean square error over the performance: initial, re-solved by the plain fit, re-solved sparsely."""
     part = slice(sensor.neutral_frames, None)
-    solved = {"initial": result.coefficients_initial, "plain fit to v4": result.coefficients,
-              "re-solved": driving_coefficients(result, "resolved", actor)}  # fmt: skip
+    plain = SparseResolve(actor, result.expression_names, sparsity=0.0)
+    solved = {
+        "initial": result.coefficients_initial,
+        "plain fit to v4": np.stack([plain(v4, x) for v4, x in zip(head_frames(result), result.coefficients, strict=True)]),
+        "re-solved": result.coefficients,
+    }
     return {name: float(np.sqrt(np.mean((x[part] - truth) ** 2))) for name, x in solved.items()}
 
 
