@@ -5,6 +5,7 @@ Vertices are (N, 3) float mm, triangles (T, 3) int, counter-clockwise seen from 
 
 from __future__ import annotations
 
+import cv2
 import numba
 import numpy as np
 import scipy.sparse as sp
@@ -124,9 +125,4 @@ def transform_points(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def rotation_vector_matrix(omega: np.ndarray) -> np.ndarray:
     """(3, 3) rotation of a rotation vector (radians), by Rodrigues' formula."""
-    angle = float(np.linalg.norm(omega))
-    x, y, z = omega
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-12:
-        return np.eye(3) + cross
-    return np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross
+    return cv2.Rodrigues(np.asarray(omega, float))[0]

@@ -83,7 +83,7 @@ class DepthParameters(_Stage):
         high=4000,
         paper=200,
     )
-    margin: float = parameter(25.0, "border added around the model's box", unit="mm", section="4.1", low=0, high=300)
+    margin: float = parameter(15.0, "border added around the model's box", unit="mm", section="4.1", low=0, high=300)
     smoothing: float = parameter(0.6, "Gaussian that reduces the depth noise", unit="px", low=0.3, high=10)
     normal_smoothing: float = parameter(
         1.4, "Gaussian under the depth gradient, from which the normals follow", unit="px", low=0.3, high=20
@@ -120,7 +120,7 @@ class RigidParameters(_Stage):
     converged: float = parameter(
         0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10
     )
-    min_matches: int = parameter(300, "fewer correspondences than this and the track is lost", low=6, high=100000)
+    min_matches: int = parameter(150, "fewer correspondences than this and the track is lost", low=6, high=100000)
     stiff: float = parameter(
         4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000
     )
@@ -154,6 +154,9 @@ class BlendshapeParameters(_Stage):
     )
     temporal: float = parameter(
         30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
+    )
+    every: int = parameter(
+        3, "the rigid and the blendshape fit take every so many vertices", section="4.2", low=1, high=20, paper=1
     )
     sparsity: float = parameter(
         2.5,

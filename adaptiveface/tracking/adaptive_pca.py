@@ -64,7 +64,8 @@ def em_in_sample_space(gram: np.ndarray, coefficients: np.ndarray, steps: int) -
     y = coefficients
     for step in range(steps):
         if step:
-            y = np.linalg.solve(z.T @ gram @ z, z.T @ gram)  # noqa: F821 (set by the first pass)
+            products = z.T @ gram  # noqa: F821 (set by the first pass)
+            y = np.linalg.solve(products @ z, products)  # noqa: F821
         z = np.linalg.solve(y @ y.T, y).T
     return z
 
@@ -79,6 +80,7 @@ class AdaptiveModel:
         self.parameters = parameters
         self.frontal = actor.frontal
         self.anchors, self._anchor_mix = anchor_shapes(blendshapes[:, self.frontal].reshape(len(blendshapes), -1))
+        self._anchors_single = self.anchors.astype(np.float32)
         self._outside = blendshapes[:, ~self.frontal].reshape(len(blendshapes), -1)
         n = int(self.frontal.sum())
         # The paper's squared norms are in cm^2 and grow with the number of vertices.
@@ -178,12 +180,14 @@ class AdaptiveModel:
     def _update(self) -> None:
         """EM on the buffer, then QR: the correctives become the leading principal directions of the samples."""
         gram, coordinates = self._gram[: self.count, : self.count], self._coordinates[: self.count]
-        if np.linalg.matrix_rank(coordinates, tol=1e-6 * np.sqrt(np.trace(gram))) < coordinates.shape[1]:
+        # Samples that do not reach every corrective make Y Y^T singular: wait for more of them.
+        if np.linalg.eigvalsh(coordinates.T @ coordinates)[0] <= 1e-12 * np.trace(gram):
             return
         mix = em_in_sample_space(gram, coordinates.T, self.parameters.em_steps)
         correctives = (mix.T.astype(np.float32) @ self._samples[: self.count]).astype(float).T
-        # Samples are orthogonal to the anchors up to their float32 storage; make it exact.
-        correctives -= self.anchors @ (self.anchors.T @ correctives)
+        # Samples are orthogonal to the anchors up to their float32 storage; make it exact. The correction is 1e-7 of
+        # the correctives, so that its own single precision does not show.
+        correctives -= self._anchors_single @ (self.anchors.T @ correctives).astype(np.float32)
         self.correctives, triangle = orthonormalise(correctives)
         mix = mix @ np.linalg.inv(triangle)
         self._coordinates[: self.count] = gram @ mix

@@ -80,14 +80,31 @@ def depth_surface(depth: np.ndarray, camera: Camera, window, parameters: DepthPa
 
 @numba.njit(cache=True)
 def _associate(
-    points, normals, depth, gradient_u, gradient_v, valid, intrinsics, reach, min_cosine, min_view, distance, normal_out
+    points,
+    normals,
+    pose,
+    depth,
+    gradient_u,
+    gradient_v,
+    valid,
+    intrinsics,
+    reach,
+    min_cosine,
+    min_view,
+    out,
+    distance,
+    plane,
 ):
-    """Signed point-to-plane distance, plane normal and weight of every camera-frame point; weight 0 = no match."""
+    """Put the points into the camera frame; point-to-plane distance, normal and weight of each (weight 0: no match)."""
     fx, fy, cx, cy, u0, v0 = intrinsics
     h, w = depth.shape
     weight = np.zeros(len(points))
     for i in range(len(points)):
-        x, y, z = points[i]
+        a, b, c = points[i]
+        x = pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c + pose[0, 3]
+        y = pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3]
+        z = pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3]
+        out[i, 0], out[i, 1], out[i, 2] = x, y, z
         if z <= 1.0:
             continue
         u, v = fx * x / z + cx - u0, fy * y / z + cy - v0
@@ -100,7 +117,10 @@ def _associate(
         nx, ny, nz = fx * gu, fy * gv, -(measured + du * gu + dv * gv)
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         nx, ny, nz = nx / length, ny / length, nz / length
-        if nx * normals[i, 0] + ny * normals[i, 1] + nz * normals[i, 2] < min_cosine:
+        facing = 0.0  # cosine between the surface's normal and the point's own, turned by the pose
+        for k in range(3):
+            facing += normals[i, k] * (nx * pose[0, k] + ny * pose[1, k] + nz * pose[2, k])
+        if facing < min_cosine:
             continue
         ray = measured / z  # the depth point is ray * (x, y, z)
         gap = 1.0 - ray
@@ -108,7 +128,7 @@ def _associate(
         if gap * gap * (x * x + y * y + z * z) > reach * reach:
             continue
         distance[i] = along
-        normal_out[i, 0], normal_out[i, 1], normal_out[i, 2] = nx, ny, nz
+        plane[i, 0], plane[i, 1], plane[i, 2] = nx, ny, nz
         # A grazing surface is measured badly: weigh by the cosine between viewing ray and normal.
         weight[i] = -(nx * x + ny * y + nz * z) / np.sqrt(x * x + y * y + z * z)
         if weight[i] < min_view:
@@ -118,11 +138,15 @@ def _associate(
 
 @dataclass(frozen=True)
 class Correspondences:
-    """Point-to-plane matches of n points: distance (n,) mm, n_i^T (v_i - p_i); normals (n, 3) camera frame; weights (n,)."""
+    """Point-to-plane matches of n points, in the camera frame.
+
+    distances (n,) mm, n_i^T (v_i - p_i); normals (n, 3); weights (n,), 0 = no match; points (n, 3) mm: the v_i, where known.
+    """
 
     distances: np.ndarray
     normals: np.ndarray
     weights: np.ndarray
+    points: np.ndarray | None = None
 
     @property
     def count(self) -> int:
@@ -137,27 +161,34 @@ class Correspondences:
 
 
 def find_correspondences(
-    surface: DepthSurface, points: np.ndarray, normals: np.ndarray, reach: float, max_angle: float = 60.0
+    surface: DepthSurface,
+    points: np.ndarray,
+    normals: np.ndarray,
+    reach: float,
+    pose: np.ndarray | None = None,
+    max_angle: float = 60.0,
 ) -> Correspondences:
-    """Match camera-frame points (n, 3) with unit normals (n, 3) to the depth map by projection.
+    """Match points (n, 3) with unit normals (n, 3) to the depth map by projection.
 
-    Dropped: no depth or a depth edge at the pixel, depth point farther than ``reach`` mm, normals more than ``max_angle``
-    degrees apart, viewing angle too flat.
+    ``pose`` (4, 4) takes both to the camera frame; None: they are there. Dropped: no depth or a depth edge at the pixel,
+    depth point farther than ``reach`` mm, normals more than ``max_angle`` degrees apart, viewing angle too flat.
     """
-    camera, distance, plane = surface.camera, np.zeros(len(points)), np.zeros((len(points), 3))
-    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, float(surface.origin[0]), float(surface.origin[1]))
+    camera, n = surface.camera, len(points)
+    in_camera, distances, planes = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3))
     weights = _associate(
-        np.ascontiguousarray(points),
-        np.ascontiguousarray(normals),
+        np.ascontiguousarray(points, np.float64),
+        np.ascontiguousarray(normals, np.float64),
+        np.eye(4) if pose is None else np.ascontiguousarray(pose, np.float64),
         surface.depth,
         surface.gradient_u,
         surface.gradient_v,
         surface.valid,
-        intrinsics,
+        (camera.fx, camera.fy, camera.cx, camera.cy, float(surface.origin[0]), float(surface.origin[1])),
         reach,
         np.cos(np.radians(max_angle)),
         surface.min_view,
-        distance,
-        plane,
+        in_camera,
+        distances,
+        planes,
     )
-    return Correspondences(distance, plane, weights)
+    return Correspondences(distances, planes, weights, in_camera)

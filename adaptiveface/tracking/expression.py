@@ -18,6 +18,9 @@ from .depth_surface import DepthSurface, find_correspondences
 from .feature_rows import feature_rows
 from .rigid import apply_rigid_update
 
+#: (a x b)_i = CROSS_ijk a_j b_k
+CROSS = np.array([np.cross(axis, np.eye(3)).T for axis in np.eye(3)]).transpose(1, 0, 2)
+
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -32,19 +35,13 @@ def add_rows(
 ) -> None:
     """Add sum_i w_i (residual_i + J_i (z - current))^2 in place; z stacks the pose update and the coefficients.
 
-    ``jacobian`` (m, 6 + A) is scaled in place. The product of a matrix with its own transpose costs half a product.
+    ``jacobian`` (m, 6 + A) is scaled in place. Only the upper triangle of H is filled, by BLAS's symmetric rank-k update.
     """
     root = np.sqrt(weights)
     target = root * (jacobian @ current - residual)
     jacobian *= root[:, None]
-    equations.h[...] += syrk(jacobian.T)
+    equations.h[...] += dsyrk(1.0, jacobian.T)
     equations.g[...] += target @ jacobian
-
-
-def syrk(a: np.ndarray) -> np.ndarray:
-    """a a^T for a (k, m) in Fortran order, by BLAS's symmetric rank-k update."""
-    upper = dsyrk(1.0, a)
-    return upper + np.triu(upper, 1).T
 
 
 @numba.njit(cache=True)
@@ -82,23 +79,25 @@ class BlendshapeFit:
         self.parameters = parameters
         self.neutral = actor.neutral
         self.basis = actor.blendshapes[:count]
-        #: Vertices that may take a depth correspondence, and their part of b0 and B.
-        self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)
+        #: Every so many of the vertices that may take a depth correspondence, and their part of b0 and B.
+        self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)[:: parameters.every]
         self._b0 = np.ascontiguousarray(self.neutral[self.depth_vertices])
-        self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0))
+        # Single precision: half the memory to stream in every round, and still 1e-5 mm.
+        self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0), np.float32)
         self._b_flat = self._b.reshape(-1, count)
         self._middle = self._b0.mean(axis=0)
         corners = actor.feature_triangles
         self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[corners])
         self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, corners])
-        self._flat = self.basis.reshape(count, -1)
+        self._flat = self.basis.reshape(count, -1).astype(np.float32)
         frontal = self.basis[:, actor.frontal].reshape(count, -1)
-        self._frontal, self._frontal_basis, self._frontal_gram = actor.frontal, frontal, frontal @ frontal.T
+        self._frontal, self._frontal_gram = np.flatnonzero(actor.frontal), frontal @ frontal.T
+        self._frontal_basis = frontal.astype(np.float32)
         self._penalty = sparsity_penalty(self._frontal_gram, parameters.sparsity, int(actor.frontal.sum()))
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """v1 = b0 + B x, (N, 3) in the head frame."""
-        return self.neutral + (x @ self._flat).reshape(-1, 3)
+        return self.neutral + (x.astype(np.float32) @ self._flat).reshape(-1, 3)
 
     def feature_points(self, x: np.ndarray) -> np.ndarray:
         """(40, 3) head-frame points of the features at coefficients x."""
@@ -129,15 +128,17 @@ class BlendshapeFit:
         p, count = self.parameters, len(x)
         equations = NormalEquations(np.zeros((6 + count, 6 + count)), np.zeros(6 + count))
         current = np.concatenate([np.zeros(6), x])
-        points = transform_points(pose, self._b0 + (self._b_flat @ x).reshape(-1, 3))
+        shape = self._b0 + (self._b_flat @ x.astype(np.float32)).reshape(-1, 3)
         centre = transform_points(pose, self._middle)
-        matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, p.prune)
+        matches = find_correspondences(surface, shape, normals, p.prune, pose)
+        points = matches.points
         matched = matches.weights > 0
         jacobian = _depth_jacobian(
             points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre
         )
         distances = matches.distances[matched]
-        weights = matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
+        # Each stands for ``every`` vertices, so that w keeps its meaning.
+        weights = p.every * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
         add_rows(equations, jacobian, distances, weights, current)
 
         rows = feature_rows(features, camera, pose)
@@ -146,11 +147,11 @@ class BlendshapeFit:
             residual = np.einsum("fij,fj->fi", rows.rows, points) + rows.offsets
             in_camera = rows.rows @ pose[:3, :3].T
             lever = transform_points(pose, points) - centre
-            turn = np.cross(lever[:, None, :], in_camera)
+            turn = np.einsum("abc,fb,frc->fra", CROSS, lever, in_camera)
             jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
             add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
         ridge = np.concatenate([np.full(6, 1e-6), np.full(count, p.ridge + p.temporal)])
-        equations.h[...] += np.diag(ridge)
+        equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
         equations.g[6:] += p.temporal * previous
         return equations, centre
 
@@ -170,7 +171,7 @@ class BlendshapeFit:
 
         ``x`` (A,) a first guess. See :func:`sparsity_penalty` for the departure from the paper.
         """
-        displacement = (vertices - self.neutral)[self._frontal].ravel()
+        displacement = (vertices[self._frontal] - self.neutral[self._frontal]).ravel().astype(np.float32)
         lower, upper = np.full(len(x), self.parameters.lower), np.full(len(x), self.parameters.upper)
         h = self._frontal_gram + self.parameters.ridge * np.eye(len(x))
         return bounded_least_squares(h, self._frontal_basis @ displacement - self._penalty, lower, upper, x)

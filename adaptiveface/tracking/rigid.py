@@ -86,15 +86,14 @@ class RigidTracker:
         """Refine ``pose`` for a shape (n, 3) with unit normals (n, 3) in the head frame."""
         reach, middle = self.parameters.prune, shape.mean(axis=0)
         for _ in range(self.parameters.iterations):
-            points, turned = transform_points(pose, shape), normals @ pose[:3, :3].T
-            matches = find_correspondences(surface, points, turned, reach)
+            matches = find_correspondences(surface, shape, normals, reach, pose)
             if matches.count < self.parameters.min_matches:
                 return RigidFit(pose, matches, float("inf"))
             centre = transform_points(pose, middle)
             robust = self.vertex_weights / (1.0 + (matches.distances / self.parameters.outlier) ** 2)
-            step = point_to_plane_step(points, matches, centre, robust)
+            step = point_to_plane_step(matches.points, matches, centre, robust)
             pose = apply_rigid_update(pose, step, centre)
             if FACE_RADIUS * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) < self.parameters.converged:
                 break
-        matches = find_correspondences(surface, transform_points(pose, shape), normals @ pose[:3, :3].T, reach)
+        matches = find_correspondences(surface, shape, normals, reach, pose)
         return RigidFit(pose, matches, matches.mean_distance)

@@ -40,8 +40,10 @@ class FaceTracker:
         self.final_deformation = LaplacianDeformation(*rigging, 0.0, p.laplacian.final_w2)
         self._frontal = np.flatnonzero(frontal)
         self._outside = np.flatnonzero(~frontal)
+        self._outline = actor.neutral[self._frontal[::5]]  # dense enough to know where the face is
         self._may_match = actor.depth_valid[frontal]
         local = np.cumsum(frontal) - 1
+        self._fitted = local[self.blendshapes.depth_vertices]
         self._frontal_triangles = local[triangles[frontal[triangles].all(axis=1)]]
         motion = np.linalg.norm(self.blendshapes.basis[:, self.blendshapes.depth_vertices], axis=2).max(axis=0)
         self.rigid = RigidTracker(1.0 / (1.0 + (motion / p.rigid.stiff) ** 2), p.rigid)
@@ -72,7 +74,7 @@ class FaceTracker:
             return self._untracked(frame, ms)
 
         with _timed(ms, "blendshapes"):  # section 4.2
-            stiff = normals[self._may_match]
+            stiff = normals[self._fitted]
             pose, x = self.blendshapes.fit(surface, frame.features, frame.camera, rigid.pose, self._x, stiff)
             limits = self.parameters.blendshapes
             x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
@@ -122,7 +124,7 @@ class FaceTracker:
                 continue
             with _timed(ms, "rigid"):
                 shape = self._v1[self.blendshapes.depth_vertices]
-                fit = self.rigid.align(surface, shape, normals[self._may_match], start)
+                fit = self.rigid.align(surface, shape, normals[self._fitted], start)
             if fit.residual < self.parameters.rigid.lost:
                 if self._agrees(frame, fit.pose):
                     return fit, surface
@@ -141,7 +143,7 @@ class FaceTracker:
         )
 
     def _crop(self, frame: RgbdFrame, pose: np.ndarray) -> DepthSurface | None:
-        points = transform_points(pose, self.actor.neutral[self._frontal])
+        points = transform_points(pose, self._outline)
         if (points[:, 2] < 50.0).any():
             return None
         pixels = frame.camera.project(points)
@@ -157,8 +159,7 @@ class FaceTracker:
 
     def _deform_to_depth(self, surface, frame, pose, v1, normals) -> tuple[np.ndarray, float]:
         p = self.parameters.laplacian
-        points = transform_points(pose, v1[self._frontal])
-        matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, p.prune)
+        matches = find_correspondences(surface, v1[self._frontal], normals, p.prune, pose)
         matches.weights[~self._may_match] = 0.0
         coverage = matches.count / max(int(self._may_match.sum()), 1)
         term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
