@@ -232,7 +232,7 @@ class LaplacianParameters(_Stage):
 class AdaptivePcaParameters(_Stage):
     """Section 5: anchors, correctives, incremental EM-PCA."""
 
-    K: int = parameter(16, "number of corrective shapes", section="5", low=0, high=100, paper=7)
+    K: int = parameter(12, "number of corrective shapes", section="5", low=0, high=100, paper=7)
     S: int = parameter(200, "samples kept in the buffer", section="5", low=2, high=2000)
     valid_min: float = parameter(
         1.0,

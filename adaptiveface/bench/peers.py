@@ -71,7 +71,7 @@ def record(tracker: FaceTracker, frames, count: int) -> Recorded:
             stack.enter_context(_recorded(owner, name))
             for owner, name in (
                 (tracker.rigid, "align"), (tracker.blendshapes, "fit"), (tracker.blendshapes, "_solve"),
-                (expression, "add_rows"), (tracker.deformation.system, "solve"),
+                (expression, "add_rows"), (tracker.deformation.system, "precondition"),
             )
         ]  # fmt: skip
         for frame in frames[-count:]:

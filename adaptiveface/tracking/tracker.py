@@ -40,6 +40,7 @@ class FaceTracker:
         self.final_deformation = LaplacianDeformation(*rigging, 0.0, p.laplacian.final_w2)
         self._frontal = np.flatnonzero(frontal)
         self._outside = np.flatnonzero(~frontal)
+        self._neutral = actor.neutral[self._frontal]
         self._outline = actor.neutral[self._frontal[::5]]  # dense enough to know where the face is
         self._may_match = actor.depth_valid[frontal]
         local = np.cumsum(frontal) - 1
@@ -192,7 +193,7 @@ class FaceTracker:
         return self.model.learn(deformation.ravel()) if p.learn else self.model.classify(deformation.ravel())[0]
 
     def _displacement(self, vertices: np.ndarray) -> np.ndarray:
-        return (vertices[self._frontal] - self.actor.neutral[self._frontal]).ravel()
+        return (vertices[self._frontal] - self._neutral).ravel()
 
     def _displace(self, vertices: np.ndarray, deformation: np.ndarray) -> np.ndarray:
         moved = vertices.copy()
