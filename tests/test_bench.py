@@ -13,7 +13,7 @@ from adaptiveface.tracking.types import STAGE_NAMES
 
 @pytest.fixture(scope="module")
 def recorded():
-    actor, frames = bench_scene(36)
+    actor, frames = bench_scene(60)
     return peers.record(FaceTracker(actor), frames, 6)
 
 
@@ -24,7 +24,7 @@ def test_paper_figures_add_up():
 def test_stages_are_recorded_once_per_frame(recorded):
     rounds = recorded.tracker.parameters.blendshapes.iterations
     assert len(recorded.align) == len(recorded.fit) == 6 and len(recorded.solve) == 6 * rounds
-    assert len(recorded.learn) == 36
+    assert len(recorded.learn) == 60
     assert "align" not in vars(recorded.tracker.rigid)  # the tracker is itself again
 
 
