@@ -1,0 +1,274 @@
+"""The guided neutral scan: tells a person what to do, and keeps the best frames (paper, section 3, "input").
+
+Look straight, turn left, right, up, down, some two seconds each. Fed with the frames of a live sensor that have 2D
+features; no thread, no view, under 3 ms a frame.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..actor import Actor
+from ..errors import TrackingError
+from ..face_model import FaceModel, embedded_face_model
+from ..frame import RgbdFrame
+from ..mesh import surface_points, transform_points, vertex_normals
+from ..neutral.capture import capture_actor
+from ..neutral.fuse import Progress
+from ..parameters import Parameters
+from ..tracking.detection import pose_from_features
+from .face_quality import Expression, expression, eye_distance, head_angles, seen_by_depth, sharpness
+
+#: The steps and what they ask for; left and right are the person's own.
+STEPS = {
+    "straight": "look straight at the camera, with a relaxed face",
+    "left": "turn your head slowly to your left",
+    "right": "turn your head slowly to your right",
+    "up": "lift your chin slowly",
+    "down": "lower your chin slowly",
+}
+#: Degrees that count as fully turned and nodded; half of it is enough not to be warned about.
+TURN, NOD, ENOUGH = 20.0, 10.0, 0.5
+#: Good frames that the first step, and the whole scan, need at least.
+STRAIGHT_FRAMES, MIN_FRAMES = 10, 10
+#: Degrees of turning beyond which nothing is said about the expression.
+PROFILE = 40.0
+#: The face's distance to the camera, mm.
+NEAR, FAR = 220.0, 1000.0
+#: A face whose eyes are closer together than this in the picture has too few pixels.
+MIN_EYE_PIXELS = 45.0
+#: Eye distances a second beyond which the head moves too fast; sharpness against its own median below which it blurs.
+FAST, BLURRED = 4.0, 0.45
+#: A vertex that this many frames saw counts as covered; depth this near to the expected one counts as the face's, mm.
+VIEWS, REACH = 6, 25.0
+
+
+@dataclass(frozen=True)
+class Guidance:
+    """What to tell the person. ``step``: a key of ``STEPS`` or "done"; ``progress`` 0..1; ``coverage``: share of every
+    step's target; ``warnings``: what keeps this frame from being used, or what the finished scan lacks."""
+
+    text: str
+    step: str
+    progress: float
+    coverage: dict[str, float]
+    warnings: tuple[str, ...]
+    done: bool
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A frame in store: ``cost`` grows with expression and blur; ``clean``: nothing to complain about."""
+
+    frame: RgbdFrame
+    cost: float
+    clean: bool
+    cell: tuple[int, int]
+
+
+class GuidedCapture:
+    """Fed frame by frame with :meth:`add` until ``done``; :meth:`build` makes the actor.
+
+    ``seconds``: how long the scan takes, by the frames' timestamps, unless every step is done earlier; a face that never
+    looks neutral takes twice as long. ``most``: frames kept at most. ``model``: the embedded one by default.
+    """
+
+    def __init__(self, seconds: float = 10.0, most: int = 60, model: FaceModel | None = None) -> None:
+        self.model, self.seconds, self.most = model or embedded_face_model(), seconds, most
+        frontal = self.model.frontal
+        self._points = surface_points(self.model.mean, self.model.feature_triangles, self.model.feature_weights)
+        self._vertices = self.model.mean[frontal]
+        self._normals = vertex_normals(self.model.mean, self.model.triangles)[frontal]
+        self._seen = np.zeros(len(self._vertices), int)
+        self._kept: list[_Kept] = []
+        self._sharp: deque[float] = deque(maxlen=20)
+        self._level: list[float] = []  # pitch of the first frames that look straight
+        self._farthest = {name: [0.0, 0.0, 0.0] for name in STEPS if name != "straight"}
+        self._last: tuple[float, np.ndarray] | None = None
+        self._clock: float | None = None
+        self._elapsed, self._step, self._step_began, self._finished = 0.0, "straight", 0.0, False
+        self.pose: np.ndarray | None = None  #: head to camera in the last frame, or None
+        self.frames_seen = 0
+
+    # ---- what a view shows -----------------------------------------------------------------------------------------
+    @property
+    def frames(self) -> list[RgbdFrame]:
+        """The frames to build from, in order, without colour: the clean ones where there are enough."""
+        clean = [kept.frame for kept in self._kept if kept.clean]
+        chosen = clean if len(clean) >= MIN_FRAMES else [kept.frame for kept in self._kept]
+        return sorted(chosen, key=lambda frame: frame.index)
+
+    @property
+    def vertex_coverage(self) -> np.ndarray:
+        """(V,) in [0, 1]: how well depth has seen every vertex of the model's frontal region; 0 elsewhere."""
+        out = np.zeros(len(self.model.mean))
+        out[self.model.frontal] = np.minimum(self._seen / VIEWS, 1.0)
+        return out
+
+    @property
+    def coverage(self) -> dict[str, float]:
+        """Share of the target that every step has reached, 0..1."""
+        out = {"straight": min(len(self._level) / STRAIGHT_FRAMES, 1.0)}
+        for name, best in self._farthest.items():
+            out[name] = float(np.clip(best[0] / (TURN if name in ("left", "right") else NOD), 0.0, 1.0))
+        return out
+
+    @property
+    def done(self) -> bool:
+        """Whether no further frame is needed."""
+        return self._finished
+
+    # ---- one frame -------------------------------------------------------------------------------------------------
+    def add(self, frame: RgbdFrame) -> Guidance:
+        """Judge and perhaps keep a frame; returns what to say. After the end nothing is added."""
+        if self._finished:
+            return self._guidance(())
+        self.frames_seen += 1
+        warnings, face = self._judge(frame)
+        moved = self._advance(frame)
+        if face is not None:
+            self._elapsed += moved
+            self._keep(frame, face, not warnings)
+        self._next_step()
+        self._finished = self._complete()
+        return self._guidance(warnings)
+
+    def finish(self) -> Guidance:
+        """Enough: stop here with the frames there are. Raises :class:`TrackingError` when no frame shows a face."""
+        if not self._kept:
+            raise TrackingError(
+                f"none of the {self.frames_seen} frames so far shows a face with depth; nothing to build a head from"
+            )
+        self._finished = True
+        return self._guidance(())
+
+    def build(self, parameters: Parameters | None = None, progress: Progress | None = None) -> Actor:
+        """The actor from the frames kept, some seconds of work; arguments as for
+        :func:`~adaptiveface.neutral.capture.capture_actor`, which see for the errors."""
+        return capture_actor(self.frames, self.model, parameters or Parameters(), progress)
+
+    # ---- judging ---------------------------------------------------------------------------------------------------
+    def _judge(self, frame: RgbdFrame) -> tuple[tuple[str, ...], tuple[Expression, float] | None]:
+        """Warnings, and (expression, blur 0..1) of a face that can be used at all."""
+        self.pose = None
+        if not frame.depth.any():
+            return ("no depth: the sensor measures nothing",), None
+        pose = pose_from_features(frame, self._points)
+        if pose is None:
+            return ("no face: look at the camera, well lit",), None
+        self.pose, distance = pose, float(np.linalg.norm(pose[:3, 3]))
+        if distance < NEAR:
+            return (f"too near ({distance / 10:.0f} cm): move back",), None
+        neutral = frame.camera.project(transform_points(pose, self._points))
+        unit = eye_distance(neutral)
+        turned = abs(head_angles(pose)[0]) > PROFILE  # where the detector guesses the far half of the face
+        if distance > FAR or (unit < MIN_EYE_PIXELS and not turned):
+            return (f"too far ({distance / 10:.0f} cm): come closer",), None
+        face = Expression(0, 0, 0, 0) if turned else expression(frame.features, neutral)
+        blur = self._blur(frame)
+        warnings = [face.warning] if face.warning else []
+        if blur >= 1 or self._speed(frame, unit) > FAST:
+            warnings.append("blurred: move more slowly")
+            blur = max(blur, 1.0)
+        return tuple(warnings), (face, blur)
+
+    def _blur(self, frame: RgbdFrame) -> float:
+        """0 as sharp as usual, 1 at the limit; without colour 0."""
+        sharp = sharpness(frame)
+        if not np.isfinite(sharp):
+            return 0.0
+        self._sharp.append(sharp)
+        return float(np.clip((1 - sharp / max(np.median(self._sharp), 1e-9)) / (1 - BLURRED), 0.0, 2.0))
+
+    def _speed(self, frame: RgbdFrame, unit: float) -> float:
+        """Median movement of the features since the last frame, in eye distances a second; 0 after a gap."""
+        now = np.where(frame.features.valid[:, None], frame.features.pixels, np.nan)
+        last = self._last
+        self._last = (frame.timestamp, now)
+        if last is None or not 1e-3 < frame.timestamp - last[0] < 0.2:
+            return 0.0
+        moved = np.linalg.norm(now - last[1], axis=1)
+        moved = moved[np.isfinite(moved)]
+        return float(np.median(moved) / unit / (frame.timestamp - last[0])) if len(moved) else 0.0
+
+    def _advance(self, frame: RgbdFrame) -> float:
+        """Seconds since the frame before, at most half a second: device clocks jump."""
+        last, self._clock = self._clock, frame.timestamp
+        return 0.0 if last is None else float(np.clip(frame.timestamp - last, 0.0, 0.5))
+
+    # ---- keeping ---------------------------------------------------------------------------------------------------
+    def _keep(self, frame: RgbdFrame, face: tuple[Expression, float], clean: bool) -> None:
+        yaw, pitch = head_angles(self.pose)
+        if clean and len(self._level) < STRAIGHT_FRAMES and abs(yaw) < 15 and abs(pitch) < 30:
+            self._level.append(pitch)
+        level = float(np.median(self._level)) if self._level else pitch
+        cell = (round(yaw / 6), round((pitch - level) / 5))
+        self._kept.append(_Kept(replace(frame, colour=None), face[0].worst + face[1], clean, cell))
+        if len(self._kept) > self.most:
+            self._drop_one()
+        self._count_views(frame)
+        if clean:
+            self._record(yaw, pitch - level)
+
+    def _record(self, yaw: float, pitch: float) -> None:
+        for name, angle in (("left", yaw), ("right", -yaw), ("up", pitch), ("down", -pitch)):
+            best = self._farthest[name]  # the third largest counts: single outliers do not
+            self._farthest[name] = sorted([*best, angle])[-3:]
+
+    def _count_views(self, frame: RgbdFrame) -> None:
+        points = transform_points(self.pose, self._vertices)
+        normals = self._normals @ self.pose[:3, :3].T
+        self._seen += seen_by_depth(frame.depth, frame.camera, points, normals, REACH)
+
+    def _drop_one(self) -> None:
+        """The costliest frame of the direction that has most; unclean ones first."""
+        cells: dict[tuple[int, int], int] = {}
+        for kept in self._kept:
+            cells[kept.cell] = cells.get(kept.cell, 0) + 1
+        unclean = any(not kept.clean for kept in self._kept)
+        worst = max(
+            range(len(self._kept)),
+            key=lambda i: (unclean and not self._kept[i].clean, cells[self._kept[i].cell], self._kept[i].cost),
+        )
+        del self._kept[worst]
+
+    # ---- steps -----------------------------------------------------------------------------------------------------
+    def _next_step(self) -> None:
+        """Leave a step that is reached, or that has had its share of the time, for the next one that is not."""
+        coverage, names = self.coverage, list(STEPS)
+        waited = self._elapsed - self._step_began
+        if coverage[self._step] < 1 and (waited < self.seconds / len(STEPS) or not self._level):
+            return
+        turn = names.index(self._step) + 1
+        following = [name for name in names[turn:] + names[:turn] if coverage[name] < 1]
+        self._step, self._step_began = (following or [self._step])[0], self._elapsed
+
+    def _complete(self) -> bool:
+        clean = sum(kept.clean for kept in self._kept)
+        if clean >= MIN_FRAMES and (self._elapsed >= self.seconds or min(self.coverage.values()) >= 1):
+            return True
+        return len(self._kept) >= MIN_FRAMES and self._elapsed >= 2 * self.seconds
+
+    def _guidance(self, warnings: tuple[str, ...]) -> Guidance:
+        coverage = self.coverage
+        if self._finished:
+            return Guidance(
+                f"done: {len(self.frames)} frames", "done", 1.0, coverage, self._shortcomings(coverage), True
+            )
+        progress = max(self._elapsed / self.seconds, float(np.mean(list(coverage.values()))))
+        return Guidance(STEPS[self._step], self._step, min(progress, 0.99), coverage, warnings, False)
+
+    def _shortcomings(self, coverage: dict[str, float]) -> tuple[str, ...]:
+        out = []
+        missing = [name for name, share in coverage.items() if share < ENOUGH and name != "straight"]
+        if missing:
+            out.append(f"the head hardly turned {', '.join(missing)}: its sides are taken from the average head")
+        if sum(kept.clean for kept in self._kept) < MIN_FRAMES:
+            out.append("the face was never quite neutral: the scan may hold an expression")
+        return tuple(out)
+
+
+__all__ = ["STEPS", "GuidedCapture", "Guidance"]
