@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from .actor import Actor
+from .blas import one_blas_thread
 from .errors import FrameError, TrackingError
 from .export.result import Result, ResultBuilder
 from .face_model import FaceModel
@@ -157,11 +157,6 @@ def track_source(
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")
     return result
-
-
-def one_blas_thread():
-    """Context in which BLAS runs on one thread: on shared cores a second one stalls small solves for up to 100 ms."""
-    return threadpool_limits(limits=1, user_api="blas")
 
 
 def _bar(progress: bool, **options) -> tqdm:

@@ -122,6 +122,7 @@ class LiveSensor:
         self.fps, self.depth_scale = self._driver.fps, self._driver.depth_scale
         self.has_features = self._driver.has_features
         self.dropped, self.discarded = 0, 0  #: never handed out; unusable, repeated or out of order
+        self.superseded = 0  #: of the dropped ones: replaced by a newer frame or too old before anybody read them
         self._changed = threading.Condition()
         self._unread: deque[LiveFrame] = deque()
         self._capacity = 1
@@ -196,6 +197,7 @@ class LiveSensor:
         self._changed.notify_all()  # a file goes on reading
         if self.live and frame.age > self.max_age:
             self.dropped += 1
+            self.superseded += 1
             return None
         self._handed_out += 1
         values = {**vars(frame), "index": self._handed_out - 1, "dropped": self.dropped}
@@ -248,6 +250,7 @@ class LiveSensor:
                 self._changed.wait_for(lambda: len(self._unread) < self._capacity or self._closed)
             while len(self._unread) >= self._capacity:
                 self._unread.popleft()
+                self.superseded += 1
                 lost += 1
             self.dropped += lost
             if not self._closed:
@@ -259,6 +262,8 @@ class LiveSensor:
             if not connected and not self.live:
                 self._changed.wait_for(lambda: not self._unread or self._closed)
             elif not connected:
+                self.superseded += len(self._unread)
+                self.dropped += len(self._unread)
                 self._unread.clear()  # a frame from before the unplugging is not what the sensor sees now
             self._connected, self._error = connected, error
             self._opened |= connected

@@ -147,6 +147,28 @@ class AdaptiveModel:
                 self._update()
         return state
 
+    def samples(self) -> np.ndarray:
+        """(count, 3n) the displacements in the buffer, the oldest first."""
+        order = (np.arange(self.count) + (self._next if self.count == self.parameters.S else 0)) % self.parameters.S
+        return self._samples[order] + self._sample_anchors[order].astype(np.float32) @ self._anchor_rows
+
+    def learn_all(self, displacements: np.ndarray) -> None:
+        """Start over from displacements (m, 3n): the correctives to which EM on their newest S valid ones converges."""
+        self.reset()
+        if not self.parameters.K:
+            return
+        for displacement in displacements[-self.parameters.S :]:
+            state, residual, in_anchors = self.classify(displacement)
+            if state is SampleState.LEARNED:
+                self._store(residual, in_anchors)
+        if self.count == 0 or not self._ready():
+            return
+        variances, directions = np.linalg.eigh(self._gram[: self.count, : self.count])
+        # As many correctives as there are independent samples; the buffer's single precision hides the others.
+        keep = np.flatnonzero(variances > 1e-4 * variances[-1])[::-1][: self.parameters.K]
+        self._coordinates = np.zeros((self.parameters.S, len(keep)))
+        self._take(directions[:, keep])
+
     def _store(self, sample: np.ndarray, in_anchors: np.ndarray) -> None:
         """Put a sample into the buffer (the oldest one leaves) and keep S^T S and M_K^T S up to date."""
         row = self._next
@@ -189,13 +211,16 @@ class AdaptiveModel:
         # Samples that do not reach every corrective make Y Y^T singular: wait for more of them.
         if np.linalg.eigvalsh(coordinates.T @ coordinates)[0] <= 1e-12 * np.trace(gram):
             return
-        mix = em_in_sample_space(gram, coordinates.T, self.parameters.em_steps)
+        self._take(em_in_sample_space(gram, coordinates.T, self.parameters.em_steps))
+        self.updates += 1
+
+    def _take(self, mix: np.ndarray) -> None:
+        """The orthonormal basis of the combinations S ``mix`` (count, k) of the samples becomes the correctives."""
         shapes = (mix.T.astype(np.float32) @ self._samples[: self.count]).astype(float)
         # Samples are orthogonal to the anchors up to their float32 storage; make it exact. The correction is 1e-7 of
         # the correctives, so that its own single precision does not show.
         shapes -= (shapes @ self.anchors).astype(np.float32) @ self._anchor_rows
         self.correctives, triangle = orthonormalise(shapes.T)
         mix = mix @ np.linalg.inv(triangle)
-        self._coordinates[: self.count] = gram @ mix
+        self._coordinates[: self.count] = self._gram[: self.count, : self.count] @ mix
         self._corrective_anchors = self._sample_anchors[: self.count].T @ mix
-        self.updates += 1

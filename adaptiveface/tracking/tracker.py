@@ -72,7 +72,7 @@ class FaceTracker:
         rigid, surface = self._find_head(frame, normals, ms)
         if rigid is None:
             self.forget()
-            return self._untracked(frame, ms)
+            return self.untracked(frame, self._reason(frame), ms)
 
         with _timed(ms, "blendshapes"):  # section 4.2
             stiff = normals[self._fitted]
@@ -200,9 +200,12 @@ class FaceTracker:
         moved[self._frontal] += deformation
         return moved
 
-    def _untracked(self, frame: RgbdFrame, ms: dict[str, float]) -> TrackedFrame:
+    def _reason(self, frame: RgbdFrame) -> str:
+        return "the head was not found" if frame.depth.any() else "the depth map is empty"
+
+    def untracked(self, frame: RgbdFrame, reason: str, ms: dict[str, float] | None = None) -> TrackedFrame:
+        """The result of a ``frame`` in which there is no face, or none that can be tracked: the neutral, unmoved."""
         neutral, x = self.actor.neutral, self._x
-        reason = "the head was not found" if frame.depth.any() else "the depth map is empty"
         return TrackedFrame(
             frame.index,
             frame.timestamp,
@@ -216,7 +219,7 @@ class FaceTracker:
             x,
             SampleState.UNTRACKED,
             self.model.updates,
-            stage_ms=ms,
+            stage_ms=ms or dict.fromkeys(STAGE_NAMES, 0.0),
             reason=reason,
         )
 

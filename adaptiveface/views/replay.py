@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import copy
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -12,49 +11,12 @@ from ..actor import Actor
 from ..frame import RgbdFrame
 from ..parameters import Parameters
 from ..tracking.adaptive_pca import AdaptiveModel
-from ..tracking.expression import BlendshapeFit
-from ..tracking.kalman import CoefficientFilter
-from ..tracking.laplacian import LaplacianDeformation
-from ..tracking.rigid import RigidTracker
+from ..tracking.retune import retuned, snapshot
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import SampleState, TrackedFrame
 from .kernel import BackgroundTask
 
 MakeTracker = Callable[[Actor, Parameters], FaceTracker]
-
-
-def snapshot(tracker: FaceTracker) -> FaceTracker:
-    """The tracker as it is between two frames, without copying arrays: tracking on replaces them.
-
-    Only the sample buffer of the adaptive model is shared and goes on changing; the copy must not learn.
-    """
-    saved = copy.copy(tracker)
-    saved.kalman, saved.model = copy.copy(tracker.kalman), copy.copy(tracker.model)
-    return saved
-
-
-def retuned(tracker: FaceTracker, parameters: Parameters) -> FaceTracker:
-    """A copy of a tracker with other parameters that keeps where the head is; only stages that changed are made anew.
-
-    For one frame: the copy does not learn. The adaptive model stays as it is; see :meth:`Replay.preview`.
-    """
-    old, new = tracker.parameters, parameters.set(adaptive_pca__learn=False)
-    if old.blendshapes.A != new.blendshapes.A:
-        return FaceTracker(tracker.actor, new)
-    out = snapshot(tracker)
-    out.parameters, actor = new, tracker.actor
-    rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
-    if (old.laplacian.w1, old.laplacian.w2) != (new.laplacian.w1, new.laplacian.w2):
-        out.deformation = LaplacianDeformation(*rigging, new.laplacian.w1, new.laplacian.w2)
-    if old.laplacian.final_w2 != new.laplacian.final_w2:
-        out.final_deformation = LaplacianDeformation(*rigging, 0.0, new.laplacian.final_w2)
-    if old.blendshapes != new.blendshapes:
-        out.blendshapes = BlendshapeFit(actor, new.blendshapes)
-    if old.rigid != new.rigid:
-        out.rigid = RigidTracker(tracker.rigid.vertex_weights, new.rigid)
-    if old.kalman != new.kalman:
-        out.kalman = CoefficientFilter(new.kalman)
-    return out
 
 
 class Replay:
@@ -127,7 +89,8 @@ class Replay:
         start = self._before[index]
         if start is None:
             return self.make_tracker(self.actor, parameters).track(self.frames[index])
-        tracker = retuned(start, parameters)
+        # The copy shares the sample buffer, which the background run fills: for one frame, and without learning.
+        tracker = retuned(start, parameters.set(adaptive_pca__learn=False), relearn=False)
         if parameters.adaptive_pca != self.parameters.adaptive_pca:
             tracker.model = self._relearned(tracker, parameters, index)
         return tracker.track(self.frames[index])

@@ -1,0 +1,274 @@
+"""The tracker thread: the newest frame with features goes in, the tracked face comes out, whoever watches."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from ..actor import Actor
+from ..blas import one_blas_thread
+from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError, TrackingError
+from ..parameters import Parameters
+from ..sensors.live import LiveFrame
+from ..tracking.adaptive_pca import AdaptiveModel
+from ..tracking.retune import retuned
+from ..tracking.tracker import FaceTracker
+from ..tracking.types import TrackedFrame
+from .feed import FeatureFeed
+from .statistics import LiveStatistics, Meter
+
+#: Longest wait for a frame, s: changes, messages and closing have to stay responsive.
+POLL_SECONDS = 0.1
+#: Longest :meth:`LiveSession.close` waits for the frame in hand, s.
+CLOSE_SECONDS = 0.9
+#: Without a frame for so long (s) the session says so.
+SILENCE_SECONDS = 1.0
+#: So many frames in a row on which the tracker itself fails end the session: it will not recover.
+MOST_FAILURES = 30
+
+
+@dataclass(frozen=True)
+class LiveResult:
+    """One tracked frame. ``index`` counts the session's results; ``latency_ms``: arrival at the host -> tracked mesh."""
+
+    index: int
+    frame: LiveFrame
+    tracked: TrackedFrame
+    latency_ms: float
+
+
+OnResult = Callable[[LiveResult], None]
+
+
+class LiveSession:
+    """Tracks the frames of ``feed`` in a thread of its own; a context manager. Feed and sensor stay open.
+
+    ``on_result``: called with every :class:`LiveResult` on the tracker's thread; one that raises is not called again.
+    Errors of that kind are raised, once each, by the next :meth:`latest` or :meth:`close`; tracking goes on. A sensor
+    that is gone is only a message (:attr:`statistics`): the session goes on when it is back. ``running``: False once no
+    further result will come; ``ended``: because the recording is over.
+    """
+
+    def __init__(
+        self, feed: FeatureFeed, actor: Actor, parameters: Parameters | None = None, on_result: Iterable[OnResult] = ()
+    ) -> None:
+        self.feed, self.actor = feed, actor
+        self.running, self.ended = True, False
+        self._parameters, self._frozen = parameters or Parameters(), False
+        self._tracker = self._make_tracker(actor)
+        self._callbacks = tuple(on_result)
+        self._changed = threading.Condition()
+        self._replacement: FaceTracker | None = None
+        self._forget_learned = self._closed = False
+        self._latest: LiveResult | None = None
+        self._count = self._failures = 0
+        self._errors: list[AdaptiveFaceError] = []  # not raised yet
+        self._fatal: AdaptiveFaceError | None = None
+        self._meter = Meter()
+        self._thread = threading.Thread(target=self._run, name=f"tracker {feed.sensor.name}", daemon=True)
+        self._thread.start()
+
+    # ---- for readers, on any thread --------------------------------------------------------------------------------
+    def latest(self, after: int = -1, timeout: float = 0.0) -> LiveResult | None:
+        """The newest result if its index is larger than ``after``, waiting up to ``timeout`` s for it; else None.
+
+        Raises what a thread of the session failed with, as an error of the package.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._news(after) or not self.running, timeout)
+            self._raise_error()
+            if self._latest is not None and self._latest.index > after:
+                return self._latest
+            if self._fatal is not None:
+                raise self._fatal
+            return None
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters in use, or to be used from the next frame on."""
+        return self._parameters
+
+    def set_parameters(self, parameters: Parameters) -> None:
+        """Track with other parameters from the next frame on, without losing the head or what was learned."""
+        with self._changed:
+            self._parameters = parameters
+
+    def set_actor(self, actor: Actor) -> None:
+        """Track with another rig (a relearned neutral) from the next frame on; starts over."""
+        tracker = self._make_tracker(actor)  # takes a moment, and is the caller's error if it fails
+        with self._changed:
+            self.actor, self._replacement, self._forget_learned = actor, tracker, False
+
+    def freeze(self, on: bool) -> None:
+        """Stop learning (or learn again), whatever the parameters say; what was learned stays in use."""
+        with self._changed:
+            self._frozen = bool(on)
+
+    @property
+    def frozen(self) -> bool:
+        """Whether learning is stopped by :meth:`freeze`."""
+        return self._frozen
+
+    def reset_correctives(self) -> None:
+        """Forget every corrective before the next frame; the head is not lost."""
+        with self._changed:
+            self._forget_learned = True
+
+    def add_callback(self, callback: OnResult) -> None:
+        """Call ``callback`` with every result from the next one on."""
+        with self._changed:
+            self._callbacks += (callback,)
+
+    def remove_callback(self, callback: OnResult) -> None:
+        """Stop calling ``callback``; one that is not there is no error."""
+        with self._changed:
+            self._callbacks = tuple(known for known in self._callbacks if known != callback)
+
+    @property
+    def model(self) -> AdaptiveModel:
+        """The adaptive model, to be read only: its arrays are replaced, never written to, while tracking goes on."""
+        return self._tracker.model
+
+    @property
+    def statistics(self) -> LiveStatistics:
+        """Rate, latency, lost frames and the current message."""
+        return self._meter.statistics(self.feed)
+
+    def close(self) -> None:
+        """Stop tracking, within a second; calling it again does nothing. Raises an error that nobody has seen yet."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(CLOSE_SECONDS)
+            with self._changed:
+                self._raise_error()
+
+    def __enter__(self) -> LiveSession:
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        try:
+            self.close()
+        except AdaptiveFaceError:
+            if error is None:  # what ends the block already says what is wrong
+                raise
+
+    def _news(self, after: int) -> bool:
+        return bool(self._errors) or (self._latest is not None and self._latest.index > after)
+
+    def _raise_error(self) -> None:
+        if self._errors:
+            raise self._errors.pop(0)
+
+    # ---- the tracker's thread --------------------------------------------------------------------------------------
+    def _run(self) -> None:
+        try:
+            with one_blas_thread():
+                while not self._closed and self._step():
+                    pass
+        except AdaptiveFaceError as error:
+            self._fail(error)
+        except Exception as error:
+            self._fail(_packaged("the tracker failed", error))
+        finally:
+            with self._changed:
+                self.running = False
+                self._changed.notify_all()
+
+    def _step(self) -> bool:
+        """One frame; False when there will be no other."""
+        try:
+            frame = self.feed.read(POLL_SECONDS)
+        except EndOfRecording as error:
+            self.ended = True
+            self._meter.message = str(error)
+            return False
+        except SensorTimeoutError:
+            silence = self._meter.silence
+            if silence > SILENCE_SECONDS:
+                self._meter.message = f"{self.feed.sensor.name}: no new frame for {silence:.0f} s"
+            return True
+        except SensorError as error:
+            if not self.feed.running or self._closed:
+                raise
+            self._meter.message = str(error)
+            return True
+        self._apply_changes()
+        self._publish(frame, self._track(frame))
+        return True
+
+    def _make_tracker(self, actor: Actor) -> FaceTracker:
+        return FaceTracker(actor, self._wanted())
+
+    def _wanted(self) -> Parameters:
+        parameters = self._parameters
+        return parameters.set(adaptive_pca__learn=False) if self._frozen else parameters
+
+    def _apply_changes(self) -> None:
+        with self._changed:
+            replacement, self._replacement = self._replacement, None
+            forget, self._forget_learned = self._forget_learned, False
+            parameters = self._wanted()
+        tracker = replacement or self._tracker
+        if forget:
+            tracker.model.reset()
+        if tracker.parameters != parameters:
+            try:
+                tracker = retuned(tracker, parameters)
+            except Exception as error:
+                self._report(_packaged("these parameters cannot be used", error))
+                with self._changed:
+                    self._parameters = tracker.parameters.set(adaptive_pca__learn=self._parameters.adaptive_pca.learn)
+        self._tracker = tracker
+
+    def _track(self, frame: LiveFrame) -> TrackedFrame:
+        try:
+            tracked = self._tracker.track(frame)
+        except Exception as error:  # one frame that breaks the numerics is lost, not the session
+            self._failures += 1
+            failure = _packaged(f"frame {frame.index} cannot be tracked", error)
+            if self._failures >= MOST_FAILURES:
+                raise failure from error
+            self._tracker.forget()
+            return self._tracker.untracked(frame, str(failure))
+        self._failures = 0
+        return tracked
+
+    def _publish(self, frame: LiveFrame, tracked: TrackedFrame) -> None:
+        latency = frame.age * 1e3
+        result = LiveResult(self._count, frame, tracked, latency)
+        self._count += 1
+        self._meter.add(result.latency_ms, tracked)
+        with self._changed:
+            self._latest = result
+            callbacks = self._callbacks
+            self._changed.notify_all()
+        for callback in callbacks:
+            try:
+                callback(result)
+            except Exception as error:
+                self.remove_callback(callback)
+                self._report(error if isinstance(error, AdaptiveFaceError) else _packaged("a callback failed", error))
+
+    def _report(self, error: AdaptiveFaceError) -> None:
+        with self._changed:
+            self._errors.append(error)
+            self._meter.message = str(error)
+            self._changed.notify_all()
+
+    def _fail(self, error: AdaptiveFaceError) -> None:
+        if self._closed and isinstance(error, SensorError):
+            return  # closed in the wrong order: nothing is lost
+        with self._changed:
+            self._fatal = error
+            self._errors.append(error)
+            self._meter.message = str(error)
+
+
+def _packaged(what: str, error: Exception) -> AdaptiveFaceError:
+    """``error`` as an error of the package that says ``what`` went wrong."""
+    packaged = TrackingError(f"{what} ({str(error) or type(error).__name__})")
+    packaged.__cause__ = error
+    return packaged

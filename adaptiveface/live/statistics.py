@@ -1,0 +1,88 @@
+"""How a live session is doing: rate, latency, frames that were lost on the way, and what it has to say."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..tracking.types import TrackedFrame
+from .feed import FeatureFeed
+
+#: Rates and latencies are those of the last few seconds.
+WINDOW_SECONDS = 5.0
+
+
+@dataclass(frozen=True)
+class LiveStatistics:
+    """``fps`` tracked results per second, ``latency_ms_p50`` and ``latency_ms_p95`` from the frame's arrival to its mesh,
+    ``detect_ms``, ``track_ms`` (medians): over the last seconds. Since the start: frames that never came out,
+    ``dropped_sensor`` by the device itself, ``dropped_features`` because the detector was busy, ``dropped_tracker``
+    because the tracker was; ``tracked`` and ``lost`` (no face) results. ``message``: what is wrong now, or "".
+    """
+
+    fps: float = 0.0
+    latency_ms_p50: float = 0.0
+    latency_ms_p95: float = 0.0
+    detect_ms: float = 0.0
+    track_ms: float = 0.0
+    dropped_sensor: int = 0
+    dropped_features: int = 0
+    dropped_tracker: int = 0
+    tracked: int = 0
+    lost: int = 0
+    message: str = ""
+
+    def __str__(self) -> str:
+        dropped = f"{self.dropped_sensor} + {self.dropped_features} + {self.dropped_tracker}"
+        text = (
+            f"{self.fps:4.1f} frames/s, latency {self.latency_ms_p50:.0f} ms (95 %: {self.latency_ms_p95:.0f}), "
+            f"detect {self.detect_ms:.0f}, track {self.track_ms:.0f} ms, dropped by sensor + detector + tracker {dropped}"
+        )
+        return f"{text}; {self.message}" if self.message else text
+
+
+class Meter:
+    """Collects what the statistics need; written by the tracker's thread, read by any."""
+
+    def __init__(self) -> None:
+        self.message = ""
+        self._tracked = self._lost = 0
+        self._start = self._last = time.perf_counter()
+        self._recent: deque[tuple[float, float, float]] = deque(maxlen=1000)  # time, latency ms, track ms
+
+    @property
+    def silence(self) -> float:
+        """Seconds since the last result, or since the start."""
+        return time.perf_counter() - self._last
+
+    def add(self, latency_ms: float, tracked: TrackedFrame) -> None:
+        """Take note of a result."""
+        self._last = time.perf_counter()
+        self._recent.append((self._last, latency_ms, sum(tracked.stage_ms.values())))
+        self._tracked += tracked.tracked
+        self._lost += not tracked.tracked
+        self.message = tracked.reason
+
+    def statistics(self, feed: FeatureFeed) -> LiveStatistics:
+        """The figures of this moment."""
+        now = time.perf_counter()
+        recent = np.array([row for row in tuple(self._recent) if row[0] > now - WINDOW_SECONDS]).reshape(-1, 3)
+        span = min(max(now - self._start, 1e-3), WINDOW_SECONDS)
+        p50, p95 = np.percentile(recent[:, 1], [50, 95]) if len(recent) else (0.0, 0.0)
+        sensor = feed.sensor
+        return LiveStatistics(
+            fps=len(recent) / span,
+            latency_ms_p50=float(p50),
+            latency_ms_p95=float(p95),
+            detect_ms=feed.detect_ms,
+            track_ms=float(np.median(recent[:, 2])) if len(recent) else 0.0,
+            dropped_sensor=sensor.dropped - sensor.superseded,
+            dropped_features=sensor.superseded,
+            dropped_tracker=feed.dropped,
+            tracked=self._tracked,
+            lost=self._lost,
+            message=self.message,
+        )

@@ -1,0 +1,79 @@
+"""Other parameters for a running tracker: it keeps the pose, the expression and what it learned."""
+
+from __future__ import annotations
+
+import copy
+
+from ..parameters import Parameters
+from .adaptive_pca import AdaptiveModel
+from .expression import BlendshapeFit
+from .kalman import CoefficientFilter
+from .laplacian import LaplacianDeformation
+from .rigid import RigidTracker
+from .tracker import FaceTracker
+
+
+def snapshot(tracker: FaceTracker) -> FaceTracker:
+    """The tracker as it is between two frames, without copying arrays: tracking on replaces them.
+
+    Only the sample buffer of the adaptive model is shared and goes on changing: of the two, one may learn.
+    """
+    saved = copy.copy(tracker)
+    saved.kalman, saved.model = copy.copy(tracker.kalman), copy.copy(tracker.model)
+    return saved
+
+
+def retuned(tracker: FaceTracker, parameters: Parameters, relearn: bool = True) -> FaceTracker:
+    """A tracker with other ``parameters`` that goes on where ``tracker`` is; only stages that changed are made anew.
+
+    It takes over the adaptive model, so that ``tracker`` must not learn on. Where the number of expressions, of
+    correctives or of samples changes, the model learns anew from the samples in its buffer; ``relearn=False`` leaves it
+    as it is, except for a changed number of expressions.
+    """
+    old = tracker.parameters
+    if old.blendshapes.A == parameters.blendshapes.A:
+        out = snapshot(tracker)
+        _retune_stages(out, old, parameters)
+    else:
+        out = _with_expressions(tracker, parameters)
+    out.parameters = parameters
+    if relearn and _sizes(old) != _sizes(parameters):
+        out.model = _taught(out, tracker.model, parameters)
+    elif relearn:
+        out.model.parameters = parameters.adaptive_pca
+    return out
+
+
+def _sizes(parameters: Parameters) -> tuple[int, int, int]:
+    return parameters.blendshapes.A, parameters.adaptive_pca.K, parameters.adaptive_pca.S
+
+
+def _retune_stages(out: FaceTracker, old: Parameters, new: Parameters) -> None:
+    actor = out.actor
+    rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
+    if (old.laplacian.w1, old.laplacian.w2) != (new.laplacian.w1, new.laplacian.w2):
+        out.deformation = LaplacianDeformation(*rigging, new.laplacian.w1, new.laplacian.w2)
+    if old.laplacian.final_w2 != new.laplacian.final_w2:
+        out.final_deformation = LaplacianDeformation(*rigging, 0.0, new.laplacian.final_w2)
+    if old.blendshapes != new.blendshapes:
+        out.blendshapes = BlendshapeFit(actor, new.blendshapes)
+    if old.rigid != new.rigid:
+        out.rigid = RigidTracker(out.rigid.vertex_weights, new.rigid)
+    if old.kalman != new.kalman:
+        out.kalman = CoefficientFilter(new.kalman)
+
+
+def _with_expressions(tracker: FaceTracker, parameters: Parameters) -> FaceTracker:
+    """Another number of expressions changes the anchor space: a new tracker, put where the old one is."""
+    out = type(tracker)(tracker.actor, parameters)
+    count = min(len(tracker._x), len(out._x))
+    out._x[:count] = tracker._x[:count]
+    out.pose, out._v1, out._deformation = tracker.pose, out.blendshapes.shape(out._x), tracker._deformation
+    return out
+
+
+def _taught(out: FaceTracker, model: AdaptiveModel, parameters: Parameters) -> AdaptiveModel:
+    taught = AdaptiveModel(out.actor, out.blendshapes.basis, parameters.adaptive_pca)
+    taught.learn_all(model.samples())
+    taught.updates = model.updates
+    return taught
