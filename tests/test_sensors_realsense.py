@@ -7,15 +7,13 @@ import threading
 
 import numpy as np
 import pytest
+from equivalence import performance, units_of
 
 from adaptiveface.cli import main
 from adaptiveface.errors import DriverMissingError, FileFormatError, SensorNotFoundError, SensorTimeoutError
-from adaptiveface.pipeline import capture_from, one_blas_thread
-from adaptiveface.sensors import Recording, RecordingWriter, list_sensors, open_sensor, open_source
+from adaptiveface.sensors import Recording, list_sensors, open_sensor, open_source
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.sensors.realsense import RealSenseDriver
-from adaptiveface.synthetic.sensor import SyntheticSensor
-from adaptiveface.tracking.tracker import FaceTracker
 
 rs = pytest.importorskip("pyrealsense2", reason="pyrealsense2 is not installed (the extra 'realsense')")
 W, H, FPS = 640, 480, 30
@@ -149,56 +147,21 @@ def test_files_that_are_not_recordings(tmp_path, suffix):
 
 
 # ---- the same performance, as a recording and through the SDK --------------------------------------------------------
-NEUTRAL, FRAMES = 12, 24
-
-
-@pytest.fixture(scope="module")
-def performance(tmp_path_factory):
-    """Frames, their recording (1 mm depth), the actor, and v4 of every frame of the recording."""
-    source = SyntheticSensor(5, neutral_frames=NEUTRAL, frames=FRAMES, repeats=1, colour=False)
-    frames = list(source)
-    with RecordingWriter(tmp_path_factory.mktemp("rs") / "recording", source.camera, depth_scale=1000.0) as writer:
-        for frame in frames:
-            writer.write(frame)
-    recording = Recording(writer.path)
-    actor = capture_from(recording, neutral_frames=NEUTRAL)
-    return frames, recording, actor, track(actor, recording, recording)
-
-
-def track(actor, frames, recording):
-    """{frame number: v4}; 2D features are those of the recording, by frame number."""
-    tracker, out = FaceTracker(actor), {}
-    with one_blas_thread():
-        for frame in frames:
-            number = getattr(frame, "sequence", frame.index)
-            object.__setattr__(frame, "features", recording.read(number).features)
-            out[number] = tracker.track(frame).v4
-    return out
-
-
-def units_of(frame) -> np.ndarray:
-    return np.rint(frame.depth).astype(np.uint16)
-
-
-def rms(a, b):
-    return {n: float(np.sqrt(((a[n] - b[n]) ** 2).sum(axis=1).mean())) for n in a}
-
-
-def test_the_live_sdk_tracks_to_the_same_result(performance):
-    frames, recording, actor, expected = performance
-    camera, got = FakeCamera(), []
+@pytest.mark.parametrize("per_metre", [1000, 10_000])
+def test_the_live_sdk_tracks_to_the_same_result(per_metre):
+    p, camera, got = performance(), FakeCamera(1 / per_metre), []
     with camera.sensor() as sensor:
-        for number, frame in enumerate(frames):
-            camera.push(number, units_of(frame), BLACK)
+        for number, frame in enumerate(p.frames):
+            camera.push(number, units_of(frame, per_metre), BLACK)
             got.append(sensor.read(10))
-    tracked = track(actor, got, recording)
-    assert sorted(tracked) == list(range(len(frames)))
-    assert max(rms(tracked, expected).values()) < 0.2
+    result = p.compare(got, per_metre)
+    print(f"\nRealSense, software device, {per_metre} units per metre: {result}")
+    assert result.worst < 0.2 and result.frames == len(p)
 
 
 @pytest.fixture(scope="module")
-def db3(performance, tmp_path_factory):
-    """The performance recorded by the SDK itself."""
+def db3(tmp_path_factory):
+    """The performance recorded by the SDK itself, depth in whole millimetres."""
     path, camera = tmp_path_factory.mktemp("db3") / "take.db3", FakeCamera()
     pipeline, config = rs.pipeline(), rs.config()
     pipeline.set_device(camera.device)
@@ -209,24 +172,27 @@ def db3(performance, tmp_path_factory):
         pipeline.start(config)
     except RuntimeError as error:
         pytest.skip(f"this pyrealsense2 does not write .db3 ({error})")
-    for number, frame in enumerate(performance[0]):
-        camera.push(number, units_of(frame), BLACK)
+    for number, frame in enumerate(performance().frames):
+        camera.push(number, units_of(frame, 1000), BLACK)
         pipeline.wait_for_frames(5000)
     pipeline.stop()
     del pipeline, config, camera
     return path
 
 
-def test_playback_of_a_recording_tracks_to_the_same_result(performance, db3):
-    frames, recording, actor, expected = performance
+def test_playback_of_a_recording_tracks_to_the_same_result(db3):
+    p = performance()
     with open_sensor(str(db3)) as sensor:
         got = list(sensor)
-    assert [f.sequence for f in got] == list(range(len(frames)))
-    assert max(rms(track(actor, got, recording), expected).values()) < 0.2
+    assert [f.sequence for f in got] == list(range(len(p)))
+    result = p.compare(got, 1000)
+    print(f"\nRealSense, .db3 playback: {result}")
+    assert result.worst < 0.2
 
 
-def test_convert_keeps_every_depth_value(performance, db3, tmp_path, capsys):
+def test_convert_keeps_every_depth_value(db3, tmp_path, capsys):
+    p = performance()
     assert main(["convert", str(db3), "--out", str(tmp_path / "out")]) == 0
-    assert f"{len(performance[0])} frames" in capsys.readouterr().out
-    for given, converted in zip(performance[0], Recording(tmp_path / "out"), strict=True):
-        np.testing.assert_array_equal(units_of(given), converted.depth)
+    assert f"{len(p)} frames" in capsys.readouterr().out
+    for given, converted in zip(p.quantised(1000), Recording(tmp_path / "out"), strict=True):
+        np.testing.assert_array_equal(given.depth, converted.depth)

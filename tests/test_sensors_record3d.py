@@ -10,6 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from equivalence import performance
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -90,6 +91,20 @@ def test_as_sensor_and_converted(tmp_path, capsys):
     for n, frame in zip((0, 1, 3, 4), converted, strict=True):
         np.testing.assert_allclose(frame.depth, expected(n), atol=0.0501)  # stored in tenths of a millimetre
         assert frame.camera == frames[0].camera
+
+
+def test_a_file_tracks_to_the_same_result(tmp_path):
+    p = performance()
+    c = p.camera
+    k = [c.fx, 0, 0, 0, c.fy, 0, c.cx, c.cy, 1]
+    size = {"w": c.width, "h": c.height, "dw": c.width, "dh": c.height}
+    metres = [(f.depth / np.float32(1000)).astype("<f4") for f in p.frames]
+    depths = {f"rgbd/{n}.depth": lzfse.compress(m.tobytes()) for n, m in enumerate(metres)}
+    with open_sensor(str(write(tmp_path / "take.r3d", 0, {**size, "K": k}, depths))) as sensor:
+        got = list(sensor)
+    result = p.compare(got, 10_000)
+    print(f"\nRecord3D, .r3d file: {result}")
+    assert result.worst < 0.2 and result.frames == len(p)
 
 
 @pytest.mark.parametrize(

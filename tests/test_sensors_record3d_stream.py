@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("record3d", reason="record3d is not installed (the extra 'record3d')")
 pytest.importorskip("lzfse")
 
+from equivalence import performance  # noqa: E402
 from fake_phone import K, depth_of  # noqa: E402
 
 from adaptiveface.errors import DriverMissingError, SensorDisconnectedError, SensorNotFoundError  # noqa: E402
@@ -22,14 +23,25 @@ FRAMES = 12
 
 
 @pytest.fixture
-def phone(monkeypatch):
-    script = Path(__file__).with_name("fake_phone.py")
-    process = subprocess.Popen([sys.executable, str(script), str(FRAMES)], stdout=subprocess.PIPE, text=True)
-    monkeypatch.setenv("USBMUXD_SOCKET_ADDRESS", "127.0.0.1:" + process.stdout.readline().strip())
-    yield process
-    process.kill()
-    process.wait()
-    process.stdout.close()
+def plug_in(monkeypatch):
+    """Starts a phone that streams what ``argument`` names."""
+    processes = []
+
+    def start(argument) -> None:
+        command = [sys.executable, str(Path(__file__).with_name("fake_phone.py")), str(argument)]
+        processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        monkeypatch.setenv("USBMUXD_SOCKET_ADDRESS", "127.0.0.1:" + processes[-1].stdout.readline().strip())
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture
+def phone(plug_in):
+    plug_in(FRAMES)
 
 
 def number_of(frame) -> int:
@@ -57,6 +69,28 @@ def test_frames_are_exact_and_the_stream_resumes_after_it_broke_off(phone):
         check(frame)
     numbers = [number_of(frame) for frame in before]
     assert numbers == sorted(set(numbers)) and number_of(after[0]) < FRAMES - 1
+
+
+def test_the_stream_tracks_to_the_same_result(plug_in, tmp_path):
+    """Depth travels as float32 metres, compared with a recording in tenths of a millimetre."""
+    p = performance()
+    c = p.camera
+    depth = np.stack([f.depth for f in p.frames]) / np.float32(1000)
+    np.savez(tmp_path / "take.npz", depth=depth, k=(c.fx, c.fy, c.cx, c.cy))
+    plug_in(tmp_path / "take.npz")
+    got = []
+    with open_sensor("record3d") as sensor:
+        sensor.buffer(len(p))
+        with pytest.raises(SensorDisconnectedError):
+            while len(got) <= len(p):
+                got.append(sensor.read(20))
+    numbers = p.numbers_of(got)
+    assert numbers == sorted(set(numbers)) and len(numbers) > len(p) // 2  # a busy host drops some of a live stream
+    for number, frame in zip(numbers, got, strict=True):
+        np.testing.assert_allclose(frame.depth, p.frames[number].depth, rtol=2e-7)  # two roundings of a float32
+    result = p.compare(got, 10_000, numbers)
+    print(f"\nRecord3D by USB: {result}")
+    assert result.worst < 0.2
 
 
 def test_another_phone_is_not_found(phone):
