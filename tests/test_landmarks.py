@@ -193,7 +193,7 @@ def test_a_face_too_small_for_the_detector_is_found_in_the_foreground(detector, 
     inside = detector.detect(frame).pixels
     margin = ((480, 480), (480, 480))
     wide = dataclasses.replace(frame, depth=np.pad(frame.depth, margin), colour=np.pad(frame.colour, (*margin, (0, 0))))
-    assert detector.detect_mesh(wide.colour) is None
+    assert detector.detect_meshes(wide.colour) == []
     features = detector.detect(wide)
     assert np.median(np.linalg.norm(features.pixels - 480 - inside, axis=1)) < 1.0
     assert len(features.pixels) == len(FEATURE_IDS)
