@@ -102,6 +102,10 @@ def _parser() -> argparse.ArgumentParser:
 
     bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
     bench.add_argument("--frames", type=_whole(10, 10_000), metavar="N", help="synthetic frames to time")
+    bench.add_argument("--live", action="store_true", help="instead: latency and lost frames of the live chain")
+    bench.add_argument("--seconds", type=_whole(1, 86_400), default=60, metavar="N", help="of --live: %(default)s")
+    bench.add_argument("--soak", type=_whole(1, 10_000), metavar="MINUTES", help="instead: does the live chain grow?")
+    bench.add_argument("--json", action="store_true", help="of --live and --soak: one line of JSON")
     bench.set_defaults(run=run_bench)
 
     lab = commands.add_parser("lab", help="JupyterLab on a copy of the notebooks, on this machine only")

@@ -3,6 +3,15 @@
 
 def run_bench(args=None) -> int:
     """``adaptiveface bench``: print the tables; returns the exit status."""
+    as_json = getattr(args, "json", False)
+    if getattr(args, "soak", None):
+        from .soak import run_soak
+
+        return run_soak(args.soak, as_json)
+    if getattr(args, "live", False):
+        from .live import run_live
+
+        return run_live(args.seconds, as_json)
     from .run import main
 
     return main(args)

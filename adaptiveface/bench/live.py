@@ -1,0 +1,148 @@
+"""``adaptiveface bench --live``: the whole live chain on the synthetic sensor, with MediaPipe on every frame.
+
+The sensor plays rendered frames at 30 a second; the detector sees their pictures although they bring features, so that
+sensor, detector and tracker share the machine as they do with a camera.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ..actor import Actor
+from ..errors import TrackingError
+from ..landmarks import FeatureDetector
+from ..live import FeatureFeed, LiveResult, LiveSession
+from ..neutral.capture import build_actor
+from ..sensors.live import LiveSensor
+from ..sensors.playback import EXPRESSION_FRAMES, NEUTRAL_FRAMES, SyntheticDriver
+from ..synthetic.sensor import SyntheticSensor
+from .scene import SEED
+
+#: Before anything is counted: kernels are loaded, the detector has found the face, the sample buffer is filling.
+WARM_UP_SECONDS = 5.0
+
+
+class TimedDetector:
+    """A feature detector that keeps the time of every detection, ms."""
+
+    def __init__(self) -> None:
+        self._detector, self.ms = FeatureDetector(), []
+
+    def detect(self, frame):
+        """As the detector's own."""
+        start = time.perf_counter()
+        features = self._detector.detect(frame)
+        self.ms.append((time.perf_counter() - start) * 1e3)
+        return features
+
+
+class FastDriver(SyntheticDriver):
+    """The synthetic sensor at a rate that the tracker cannot follow: every thread is busy all the time."""
+
+    fps = 120.0
+
+
+def live_scene(make_driver=SyntheticDriver, frames: int = EXPRESSION_FRAMES) -> tuple[Actor, LiveSensor]:
+    """The rig of the bench's performer and a live sensor that shows them, rendered before it returns."""
+    source = SyntheticSensor(SEED, "structured-light", min(NEUTRAL_FRAMES, frames), frames, repeats=1)
+    rendered: list = []
+    sensor = LiveSensor(lambda: make_driver(source, rendered), open_timeout=600.0)
+    return build_actor(source.performer.model, source.performer.neutral), sensor
+
+
+@dataclass(frozen=True)
+class LiveFigures:
+    """What :func:`measure_live` found; times in ms, ``*_p50`` and ``*_p95`` over all frames of ``seconds``."""
+
+    seconds: float
+    frames: int
+    fps: float
+    lost: int
+    latency_p50: float
+    latency_p95: float
+    latency_max: float
+    detect_p50: float
+    detect_p95: float
+    track_p50: float
+    track_p95: float
+    dropped_sensor: int
+    dropped_features: int
+    dropped_tracker: int
+    own_cores: float
+    load: float
+    cores: int
+
+    def table(self) -> str:
+        """For people."""
+        busy = ": BUSY, the figures are inflated" if self.load > self.cores + 0.5 else ""
+        rows = [
+            ("frame arrival to mesh, ms", f"{self.latency_p50:.1f}", f"{self.latency_p95:.1f}"),
+            ("MediaPipe, ms", f"{self.detect_p50:.1f}", f"{self.detect_p95:.1f}"),
+            ("tracking, ms", f"{self.track_p50:.1f}", f"{self.track_p95:.1f}"),
+        ]
+        lines = [f"{'':<28}{'median':>9}{'95 %':>9}", *(f"{name:<28}{a:>9}{b:>9}" for name, a, b in rows)]
+        dropped = f"sensor {self.dropped_sensor}, detector {self.dropped_features}, tracker {self.dropped_tracker}"
+        return "\n".join([
+            f"{self.frames} frames in {self.seconds:.1f} s: {self.fps:.1f} a second, {self.lost} without a face; "
+            f"longest latency {self.latency_max:.0f} ms",
+            f"dropped: {dropped}",
+            *lines,
+            f"this process kept {self.own_cores:.2f} cores busy; load {self.load:.1f} on {self.cores} cores{busy}",
+        ])  # fmt: skip
+
+
+def measure_live(seconds: float, warm_up: float = WARM_UP_SECONDS, tick: Callable[[float], None] = lambda s: None):
+    """Run the chain for ``seconds`` after ``warm_up``; ``tick(elapsed)`` about once a second. -> :class:`LiveFigures`."""
+    detector, results = TimedDetector(), []
+    actor, sensor = live_scene()
+
+    def keep(result: LiveResult) -> None:
+        results.append((result.latency_ms, sum(result.tracked.stage_ms.values()), result.tracked.tracked))
+
+    with sensor, FeatureFeed(sensor, detector) as feed, LiveSession(feed, actor, on_result=[keep]) as session:
+        _wait(session, warm_up, lambda s: None)
+        before, n_detected, n_results, cpu = session.statistics, len(detector.ms), len(results), time.process_time()
+        elapsed = _wait(session, seconds, tick)
+        after, cpu = session.statistics, time.process_time() - cpu
+        detect, rows = np.array(detector.ms[n_detected:]), np.array(results[n_results:], float)
+    if not len(rows) or not len(detect):
+        raise TrackingError(f"no frame was tracked within {seconds:g} s")
+    latency, track = rows[:, 0], rows[:, 1]
+    percentiles = {
+        f"{name}_p{level}": round(float(np.percentile(values, level)), 2)
+        for name, values in (("latency", latency), ("detect", detect), ("track", track))
+        for level in (50, 95)
+    }
+    dropped = {k: getattr(after, k) - getattr(before, k) for k in vars(after) if k.startswith("dropped_")}
+    return LiveFigures(
+        seconds=round(elapsed, 2), frames=len(rows), fps=round(len(rows) / elapsed, 2), lost=int((rows[:, 2] == 0).sum()),
+        latency_max=round(float(latency.max()), 2), own_cores=round(cpu / elapsed, 3),
+        load=round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0, cores=os.cpu_count() or 1,
+        **percentiles, **dropped,
+    )  # fmt: skip
+
+
+def _wait(session: LiveSession, seconds: float, tick: Callable[[float], None]) -> float:
+    """Sleep for ``seconds`` while the session runs; raises its error. Returns the time that passed."""
+    start = time.perf_counter()
+    while (elapsed := time.perf_counter() - start) < seconds and session.running:
+        time.sleep(min(1.0, seconds - elapsed))
+        session.latest()
+        tick(time.perf_counter() - start)
+    return time.perf_counter() - start
+
+
+def run_live(seconds: float, as_json: bool = False) -> int:
+    """``adaptiveface bench --live``: measure and print; returns the exit status."""
+    from tqdm import tqdm
+
+    with tqdm(total=round(seconds), desc="live", unit="s", leave=False, disable=None) as bar:
+        figures = measure_live(seconds, tick=lambda elapsed: bar.update(round(elapsed) - bar.n))
+    print(json.dumps(asdict(figures)) if as_json else figures.table())
+    return 0
