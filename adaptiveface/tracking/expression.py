@@ -105,16 +105,17 @@ class BlendshapeFit:
 
     def fit(
         self,
-        surface: DepthSurface,
+        surface: DepthSurface | None,
         features: Features2D | None,
         camera: Camera,
         pose: np.ndarray,
         x: np.ndarray,
-        normals: np.ndarray,
+        normals: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Alternate between correspondences and bounded solve; returns (pose (4, 4), x (A,)).
 
         ``x`` the coefficients of the previous frame, ``normals`` (n, 3) head-frame normals of ``depth_vertices``.
+        Without a surface (None, and no normals) the features alone decide.
         """
         previous = x
         for _ in range(self.parameters.iterations):
@@ -128,19 +129,9 @@ class BlendshapeFit:
         p, count = self.parameters, len(x)
         equations = NormalEquations(np.zeros((6 + count, 6 + count)), np.zeros(6 + count))
         current = np.concatenate([np.zeros(6), x])
-        shape = self._b0 + (self._b_flat @ x.astype(np.float32)).reshape(-1, 3)
         centre = transform_points(pose, self._middle)
-        matches = find_correspondences(surface, shape, normals, p.prune, pose)
-        points = matches.points
-        matched = matches.weights > 0
-        jacobian = _depth_jacobian(
-            points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre
-        )
-        distances = matches.distances[matched]
-        # Each stands for ``every`` vertices, so that w keeps its meaning.
-        weights = p.every * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
-        add_rows(equations, jacobian, distances, weights, current)
-
+        if surface is not None:
+            self._add_depth(equations, surface, pose, x, normals, centre, current)
         rows = feature_rows(features, camera, pose)
         if len(rows.index):
             points = self._f0[rows.index] + self._f[rows.index] @ x
@@ -154,6 +145,20 @@ class BlendshapeFit:
         equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
         equations.g[6:] += p.temporal * previous
         return equations, centre
+
+    def _add_depth(self, equations: NormalEquations, surface, pose, x, normals, centre, current) -> None:
+        """Equation (1)'s rows of the vertices that find a partner in the depth map, added in place."""
+        p = self.parameters
+        shape = self._b0 + (self._b_flat @ x.astype(np.float32)).reshape(-1, 3)
+        matches = find_correspondences(surface, shape, normals, p.prune, pose)
+        matched = matches.weights > 0
+        jacobian = _depth_jacobian(
+            matches.points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre
+        )
+        distances = matches.distances[matched]
+        # Each stands for ``every`` vertices, so that w keeps its meaning.
+        weights = p.every * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
+        add_rows(equations, jacobian, distances, weights, current)
 
     def _solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Eliminate the unbounded pose update (Schur complement), solve the bounded coefficients, substitute back."""

@@ -67,29 +67,29 @@ class FaceTracker:
     def track(self, frame: RgbdFrame) -> TrackedFrame:
         """Section 4 for one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
         ms = dict.fromkeys(STAGE_NAMES, 0.0)
-        with _timed(ms, "preprocess"):
+        with timed(ms, "preprocess"):
             normals = self._normals()
         rigid, surface = self._find_head(frame, normals, ms)
         if rigid is None:
             self.forget()
             return self.untracked(frame, self._reason(frame), ms)
 
-        with _timed(ms, "blendshapes"):  # section 4.2
+        with timed(ms, "blendshapes"):  # section 4.2
             stiff = normals[self._fitted]
             pose, x = self.blendshapes.fit(surface, frame.features, frame.camera, rigid.pose, self._x, stiff)
             limits = self.parameters.blendshapes
             x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
             v1 = self.blendshapes.shape(x)
-        with _timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
+        with timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
             deformation, coverage = self._deform_to_depth(surface, frame, pose, v1, normals)
             v2 = self._displace(v1, deformation)
-        with _timed(ms, "projection"):  # section 4.3, last equation
+        with timed(ms, "projection"):  # section 4.3, last equation
             v3 = self._project(v2)
-        with _timed(ms, "final_deformation"):  # section 4.4
+        with timed(ms, "final_deformation"):  # section 4.4
             v4 = self._displace(v3, self._deform_to_features(frame, pose, v3))
-        with _timed(ms, "adaptive_pca"):  # section 5
+        with timed(ms, "adaptive_pca"):  # section 5
             state = self._learn(deformation, coverage)
-        with _timed(ms, "resolve"):  # section 6
+        with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
 
         self.pose, self._x, self._v1, self._deformation = pose, x, v1, deformation
@@ -118,12 +118,12 @@ class FaceTracker:
         """Rigid ICP from the last pose, or from the 2D features where that fails or disagrees with them."""
         best: tuple[RigidFit | None, DepthSurface | None] = (None, None)
         for propose in (lambda: self.pose, lambda: self._detect(frame)):
-            with _timed(ms, "preprocess"):
+            with timed(ms, "preprocess"):
                 start = propose()
                 surface = None if start is None else self._crop(frame, start)
             if surface is None:
                 continue
-            with _timed(ms, "rigid"):
+            with timed(ms, "rigid"):
                 shape = self._v1[self.blendshapes.depth_vertices]
                 fit = self.rigid.align(surface, shape, normals[self._fitted], start)
             if fit.residual < self.parameters.rigid.lost:
@@ -225,7 +225,8 @@ class FaceTracker:
 
 
 @contextmanager
-def _timed(ms: dict[str, float], stage: str):
+def timed(ms: dict[str, float], stage: str):
+    """Add the milliseconds of the block to ``ms[stage]``."""
     start = time.perf_counter()
     try:
         yield

@@ -1,0 +1,108 @@
+"""The neutral without depth: what the 2D features of a few neutral frames tell about a person.
+
+The poses of the frames and the identity coefficients are solved together (bundle adjustment on the model's features,
+with the coefficients' Gaussian prior). The head's size is unknowable from pictures: a larger head farther away looks the
+same. It stays that of the average head.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..actor import Actor
+from ..errors import TrackingError
+from ..face_model import FaceModel, embedded_face_model
+from ..frame import RgbdFrame
+from ..mesh import surface_points, transform_points
+from ..parameters import Parameters
+from ..tracking.detection import pose_from_features
+from ..tracking.expression import CROSS
+from ..tracking.feature_rows import feature_rows
+from ..tracking.rigid import apply_rigid_update
+from .capture import build_actor
+from .features import calibrated_features, constraints_on
+from .fuse import FusedScan
+
+DEFAULTS = Parameters()
+#: Expected deviation of the rays from the features' points, mm, and rounds of the Gauss-Newton solve.
+FEATURE_SIGMA, ROUNDS = 2.0, 8
+#: What many frames say alike counts as this many independent ones: a detector's errors stay from frame to frame.
+INDEPENDENT_FRAMES = 4.0
+
+
+def capture_colour_actor(
+    frames: Sequence[RgbdFrame], model: FaceModel | None = None, parameters: Parameters = DEFAULTS
+) -> Actor:
+    """The average head with a person's proportions, as far as the 2D features of neutral ``frames`` tell them.
+
+    Raises :class:`TrackingError` when no frame shows a face.
+    """
+    model = embedded_face_model() if model is None else model
+    identity, seen, poses = fit_identity_to_features(frames, model, parameters.fit.modes)
+    neutral = model.neutral(identity)
+    actor = build_actor(model, neutral, identity=identity)
+    empty, count = np.zeros((0, 3)), len(seen)
+    rays = FusedScan(
+        empty, empty, np.zeros(0), np.arange(count), poses, np.zeros(count), tuple(f.features for f in seen),
+        tuple(f.camera for f in seen),
+    )  # fmt: skip
+    constraints = constraints_on(rays, model, neutral)
+    places = calibrated_features(constraints, model, neutral, parameters.shrink_wrap.feature_shift)
+    return replace(actor, feature_triangles=places[0], feature_weights=places[1])
+
+
+def fit_identity_to_features(
+    frames: Sequence[RgbdFrame], model: FaceModel, modes: int
+) -> tuple[np.ndarray, list[RgbdFrame], np.ndarray]:
+    """Identity coefficients (M,), the frames that show a face, and the head-to-camera pose (K, 4, 4) of each.
+
+    Gauss-Newton on all poses and coefficients; each frame's pose is eliminated (Schur complement), so that the system
+    has the size of the coefficients. Raises :class:`TrackingError` when no frame shows a face.
+    """
+    modes = min(modes, len(model.identity_modes))
+    basis = np.einsum("fk,mfkd->fdm", model.feature_weights, model.identity_modes[:modes, model.feature_triangles])
+    mean = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    found = [(frame, pose_from_features(_without_depth(frame), mean)) for frame in frames]
+    seen, poses = [f for f, pose in found if pose is not None], [pose for _, pose in found if pose is not None]
+    if not seen:
+        raise TrackingError(f"no face found in any of {len(frames)} neutral frames")
+    weight = min(1.0, INDEPENDENT_FRAMES / len(seen)) / FEATURE_SIGMA**2
+    identity = np.zeros(modes)
+    for _ in range(ROUNDS):
+        parts = [_linearise(f, p, mean, basis, identity, weight) for f, p in zip(seen, poses, strict=True)]
+        h, g = np.eye(modes), np.zeros(modes)  # the prior: coefficients are standard deviations
+        for lhs, rhs, _ in parts:
+            eliminated = np.linalg.solve(lhs[:6, :6], np.column_stack([lhs[:6, 6:], rhs[:6]]))
+            h += lhs[6:, 6:] - lhs[6:, :6] @ eliminated[:, :-1]
+            g += rhs[6:] - lhs[6:, :6] @ eliminated[:, -1]
+        identity = np.linalg.solve(h, g)
+        poses = [
+            apply_rigid_update(pose, np.linalg.solve(lhs[:6, :6], rhs[:6] - lhs[:6, 6:] @ identity), centre)
+            for pose, (lhs, rhs, centre) in zip(poses, parts, strict=True)
+        ]
+    return identity, seen, np.array(poses)
+
+
+def _linearise(frame, pose, mean, basis, identity, weight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal equations (6 + M) of one frame's features in (pose update, coefficients), and the update's centre."""
+    rows = feature_rows(frame.features, frame.camera, pose)
+    points = mean[rows.index] + basis[rows.index] @ identity
+    in_camera = rows.rows @ pose[:3, :3].T
+    moved = transform_points(pose, points)
+    centre = moved.mean(axis=0)
+    turn = np.einsum("abc,fb,frc->fra", CROSS, moved - centre, in_camera)
+    jacobian = np.concatenate([turn, in_camera, rows.rows @ basis[rows.index]], axis=2) / frame.camera.fx
+    jacobian = jacobian.reshape(-1, jacobian.shape[2])
+    # Linear in the coefficients: their values are solved for, the pose's change.
+    value = (np.einsum("fij,fj->fi", rows.rows, mean[rows.index]) + rows.offsets).ravel() / frame.camera.fx
+    weights = np.repeat(weight * rows.weights, 2)[:, None]
+    lhs = jacobian.T @ (weights * jacobian)
+    lhs[np.arange(6), np.arange(6)] += 1e-9 * np.trace(lhs[:6, :6])
+    return lhs, -(weights * jacobian).T @ value, centre
+
+
+def _without_depth(frame: RgbdFrame) -> RgbdFrame:
+    return replace(frame, depth=np.zeros((1, 1), np.float32))

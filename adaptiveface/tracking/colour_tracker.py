@@ -1,0 +1,106 @@
+"""Tracking without depth: the 2D features alone drive pose, expression and deformation. Degraded, and it says so.
+
+What a colour camera cannot tell stays as it is: the size of the head and with it its distance (the rig's are taken),
+motion along the viewing direction, and everything between the features. Nothing is learned: a corrective needs depth.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..actor import Actor
+from ..camera import Camera
+from ..frame import Features2D, RgbdFrame
+from ..mesh import transform_points
+from ..parameters import Parameters
+from .detection import pose_from_features
+from .feature_rows import reprojection_errors
+from .tracker import FaceTracker, timed
+from .types import STAGE_NAMES, SampleState, TrackedFrame
+
+#: The parameters' pixels are those of a depth camera with about this focal length, px; frames are brought to it.
+REFERENCE_FOCAL = 525.0
+#: A face is seen from this many features on.
+MIN_FEATURES = 6
+#: Rounds of the joint fit where the pose was found anew: it starts farther away.
+FIRST_ROUNDS = 3
+
+
+class ColourTracker(FaceTracker):
+    """As :class:`FaceTracker`, on frames without depth. Section 4 with equation (1)'s feature rows only and w1 = 0."""
+
+    def track(self, frame: RgbdFrame) -> TrackedFrame:
+        """Pose and expression of one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
+        ms = dict.fromkeys(STAGE_NAMES, 0.0)
+        if frame.features is None or frame.features.valid.sum() < MIN_FEATURES:
+            return self._lose(frame, ms, "no face in the picture")
+        frame = at_reference_focal(frame)
+        with timed(ms, "rigid"):
+            pose, rounds = self._find_pose(frame)
+        if pose is None:
+            return self._lose(frame, ms, "the head was not found")
+        with timed(ms, "blendshapes"):  # equations (1) and (2) without the depth term
+            x = self._x
+            for _ in range(rounds):
+                pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None)
+            limits = self.parameters.blendshapes
+            x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
+            v1 = self.blendshapes.shape(x)
+        if not in_front(pose) or self._error(frame, pose, x) > 2.0 * self.parameters.rigid.relocate:
+            return self._lose(frame, ms, "the face in the picture does not fit the head")
+        with timed(ms, "laplacian"):  # section 4.3 with w1 = 0 is the step of section 4.4
+            v2 = self._displace(v1, self._deform_to_features(frame, pose, v1))
+        with timed(ms, "projection"):
+            v3 = self._project(v2)
+        with timed(ms, "final_deformation"):
+            v4 = self._displace(v3, self._deform_to_features(frame, pose, v3))
+        with timed(ms, "resolve"):  # section 6
+            coefficients = self.blendshapes.resolve(v4, x)
+        self.pose, self._x, self._v1 = pose, x, v1
+        anchor, adaptive = self.model.distances(self._displacement(v4))
+        return TrackedFrame(
+            frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, SampleState.IN_ANCHOR_SPACE,
+            self.model.updates, anchor_distance=anchor, adaptive_distance=adaptive, stage_ms=ms,
+        )  # fmt: skip
+
+    def _find_pose(self, frame: RgbdFrame) -> tuple[np.ndarray | None, int]:
+        """The last pose where it still fits roughly, else one from the features (perspective-n-point); fit rounds."""
+        if self.pose is not None and self._error(frame, self.pose, self._x) < 5.0 * self.parameters.rigid.relocate:
+            return self.pose, 1
+        return pose_from_features(frame, self.blendshapes.feature_points(self._x)), FIRST_ROUNDS
+
+    def _error(self, frame: RgbdFrame, pose: np.ndarray, x: np.ndarray) -> float:
+        """Median distance of the features in the picture from the model's, px at the reference focal length."""
+        points = transform_points(pose, self.blendshapes.feature_points(x))
+        if (points[:, 2] < 1.0).any():
+            return np.inf
+        return float(np.median(reprojection_errors(frame.features, frame.camera, points)))
+
+    def _lose(self, frame: RgbdFrame, ms: dict[str, float], reason: str) -> TrackedFrame:
+        self.forget()
+        return dataclasses.replace(self._untracked(frame, ms), reason=reason)
+
+
+def in_front(pose: np.ndarray) -> bool:
+    """Whether a pose (4, 4) puts the face before the camera and turned towards it."""
+    return bool(np.isfinite(pose).all() and 100.0 < pose[2, 3] < 5000.0 and pose[2, 2] < 0.0)
+
+
+def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
+    """``frame``'s features and camera in pixels of :data:`REFERENCE_FOCAL`, so that every threshold keeps its meaning.
+
+    Depth is left out: this is how the tracker sees nothing else.
+    """
+    camera = frame.camera
+    scale = REFERENCE_FOCAL / camera.fx
+    size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    scaled = Camera(*size, camera.fx * scale, camera.fy * scale, camera.cx * scale, camera.cy * scale)
+    features = Features2D(frame.features.pixels * scale, frame.features.confidence)
+    return dataclasses.replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
+
+
+def make_tracker(actor: Actor, parameters: Parameters | None = None, colour_only: bool = False) -> FaceTracker:
+    """The tracker for a source: with depth, or for one that says ``colour_only`` the degraded one without."""
+    return ColourTracker(actor, parameters) if colour_only else FaceTracker(actor, parameters)
