@@ -12,6 +12,7 @@ from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeo
 from ..parameters import Parameters
 from ..sensors.live import LiveFrame
 from ..tracking.adaptive_pca import AdaptiveModel
+from ..tracking.colour_tracker import make_tracker
 from ..tracking.retune import retuned
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
@@ -200,7 +201,7 @@ class LiveSession:
         return True
 
     def _make_tracker(self, actor: Actor) -> FaceTracker:
-        return FaceTracker(actor, self._wanted())
+        return make_tracker(actor, self._wanted(), self.feed.sensor.colour_only)
 
     def _wanted(self) -> Parameters:
         parameters = self._parameters

@@ -80,6 +80,7 @@ class Driver(Protocol):
 
     ``name`` for titles; ``live``: frames that nobody reads are replaced by newer ones (False for files, which wait);
     ``has_features``: frames bring 2D features; ``depth_scale``: units per metre in which depth is measured; ``fps``.
+    Optional: ``colour_only`` True where there is no depth camera, so that every depth is 0.
     """
 
     name: str
@@ -121,6 +122,7 @@ class LiveSensor:
         self.name, self.live = self._driver.name, self._driver.live
         self.fps, self.depth_scale = self._driver.fps, self._driver.depth_scale
         self.has_features = self._driver.has_features
+        self.colour_only = getattr(self._driver, "colour_only", False)  #: there is no depth: a degraded mode
         self.dropped, self.discarded = 0, 0  #: never handed out; unusable, repeated or out of order
         self.superseded = 0  #: of the dropped ones: replaced by a newer frame or too old before anybody read them
         self._changed = threading.Condition()

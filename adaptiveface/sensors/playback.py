@@ -29,6 +29,7 @@ class PlaybackDriver:
         self.source, self.name = source, source.name
         self.fps, self.depth_scale = getattr(source, "fps", 30.0), getattr(source, "depth_scale", 10_000.0)
         self.has_features = getattr(source, "has_features", False)
+        self.colour_only = getattr(source, "colour_only", False)
 
     def open(self) -> None:
         """Start at the first frame."""

@@ -80,7 +80,7 @@ class ColourTracker(FaceTracker):
 
     def _lose(self, frame: RgbdFrame, ms: dict[str, float], reason: str) -> TrackedFrame:
         self.forget()
-        return dataclasses.replace(self._untracked(frame, ms), reason=reason)
+        return self.untracked(frame, reason, ms)
 
 
 def in_front(pose: np.ndarray) -> bool:
