@@ -23,7 +23,7 @@ from .errors import AdaptiveFaceError, MissingExtraError
 LOOPBACK = "127.0.0.1"
 #: Own files inside the learner's folder: settings for JupyterLab, fingerprints of the notebooks as they were copied.
 STATE = ".adaptiveface"
-NEEDED = ("jupyterlab", "ipykernel", "ipywidgets", "pyvista")
+NEEDED = ("jupyterlab", "ipykernel", "ipywidgets", "anywidget", "pyvista")
 PIP_LINE = 'pip install "adaptiveface[notebooks]"'
 
 #: JupyterLab settings: widget callbacks on the kernel's main thread (an OpenGL context belongs to the thread that made

@@ -47,6 +47,7 @@ autodoc_mock_imports = [
         "igl",
         "sklearn",
         "ipywidgets",
+        "anywidget",
         "pyvista",
         "IPython",
         "dask",

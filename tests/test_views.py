@@ -129,6 +129,25 @@ def test_face_view_shows_heat_motion_and_camera(session):
     view.close()
 
 
+def test_mouse_and_sliders_move_one_camera(session):
+    """What the browser sends while a face is dragged, and what stays after the view is closed."""
+    view = views.FaceView.of(session.actor, ("face",), limits=(0, 5), pane=(160, 180))
+    ahead = decoded(view._image)
+    view._image.set_state({"camera": [-37.0, 12.0, 1.5]})
+    assert (view.turn.value, view.tilt.value, view.zoom.value) == (-37.0, 12.0, 1.5)
+    dragged = decoded(view._image)
+    assert (np.abs(dragged - ahead).max(axis=2) > 12).mean() > 0.1
+    view.turn.value = 20.0
+    assert view._image.camera == [20.0, 12.0, 1.5], "the next drag goes on from the slider"
+    view._image.set_state({"camera": [0.0, 0.0, 1.0]})
+    assert view.zoom.value == 1.0 and np.array_equal(decoded(view._image), ahead), "a double click goes back"
+    view.look(-37.0, 12.0, 1.5)
+    assert view.turn.value == -37.0 and np.array_equal(decoded(view._image), dragged)
+    view.close()
+    view.turn.value = 0.0
+    assert np.array_equal(decoded(view._image), dragged), "the last picture stays"
+
+
 def test_points_appear_where_they_are(session):
     actor = session.actor
     view = views.FaceView.of(actor, ("points",), limits=(0, 1), pane=(160, 180))

@@ -10,6 +10,7 @@ from ..errors import MissingExtraError
 from ..parameters import Parameters
 
 try:
+    import anywidget  # noqa: F401
     import ipywidgets  # noqa: F401
 except ImportError:
     raise MissingExtraError(
@@ -26,6 +27,7 @@ from .pictures import CameraView
 from .player import Player
 from .replay import Replay
 from .session import Session, fast, load_session
+from .turntable import Turntable
 from .workbench import SeriesCache, Workbench, error_chart, figure_11
 
 # For the whole kernel: on shared cores a second BLAS thread stalls small products for up to 100 ms, a stutter.
@@ -35,5 +37,5 @@ __all__ = [
     "CameraView", "FaceView", "GridChart", "LiveChart", "Measures", "ParameterPanel",
     "Parameters", "Player", "Replay", "SeriesCache",
     "Session", "Workbench", "colour_bar", "depth_distance", "error_chart", "fast", "figure_11", "load_session",
-    "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict",
+    "Turntable", "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict",
 ]  # fmt: skip

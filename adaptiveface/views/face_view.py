@@ -13,6 +13,7 @@ from ..rendering import Light, heat_map, irradiance
 from .headless import prepare_rendering
 from .kernel import on_main_thread
 from .pictures import encode, image_widget
+from .turntable import LIMITS, Turntable
 
 SKIN = (205.0, 170.0, 150.0)
 #: A colour map that people with any colour vision can order, and that survives printing in grey.
@@ -23,7 +24,8 @@ class FaceView:
     """Heads of one topology, pane by pane. ``widget`` is what to display; :meth:`close` frees the renderer.
 
     ``titles``: one per pane. ``limits``, ``label``: range and meaning of every heat map ("distance in mm"). ``shape``
-    (rows, columns) of the panes. Cameras are linked: turn, tilt and zoom act on all.
+    (rows, columns) of the panes. Cameras are linked: turn, tilt and zoom act on all, by mouse (drag, wheel, double click)
+    or by sliders.
     """
 
     def __init__(
@@ -60,7 +62,8 @@ class FaceView:
         if len(titles) > 1:
             self.plotter.link_views()
         self._centre = np.asarray(vertices, float).mean(axis=0) if centre is None else np.asarray(centre, float)
-        self._image = image_widget(*size, name="adaptiveface-face")
+        self._image = Turntable(width=size[0], height=size[1], name="adaptiveface-face")
+        self._moving = self._closed = False
         self._make_widget(label)
         self.look()
 
@@ -120,6 +123,9 @@ class FaceView:
 
     def look(self, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0) -> None:
         """Camera ``turn`` degrees to the side and ``tilt`` degrees up from straight ahead; redraws."""
+        if self._closed:
+            return
+        self._follow(turn, tilt, zoom)
         a, e = np.radians(turn), np.radians(tilt)
         away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
         self._away = away
@@ -132,7 +138,8 @@ class FaceView:
 
     def refresh(self) -> None:
         """Draw, and send the picture to the browser."""
-        self._image.value = encode(self.picture())
+        if not self._closed:
+            self._image.value = encode(self.picture())
 
     def picture(self) -> np.ndarray:
         """(H, W, 3) uint8 of the panes as they are now."""
@@ -147,22 +154,23 @@ class FaceView:
 
     def close(self) -> None:
         """Free the renderer; the last picture stays."""
+        self._closed = True
         self.plotter.close()
 
     def _make_widget(self, label: str) -> None:
-        style, layout = {"description_width": "36px"}, widgets.Layout(width="200px")
-        self.turn = widgets.FloatSlider(
-            0, min=-90, max=90, step=5, description="turn", style=style, layout=layout, readout_format=".0f"
-        )
-        self.tilt = widgets.FloatSlider(
-            0, min=-60, max=60, step=5, description="tilt", style=style, layout=layout, readout_format=".0f"
-        )
-        self.zoom = widgets.FloatSlider(
-            1, min=0.5, max=3, step=0.1, description="zoom", style=style, layout=layout, readout_format=".1f"
-        )
-        move = on_main_thread(lambda change: self.look(self.turn.value, self.tilt.value, self.zoom.value))
+        self.turn, self.tilt, self.zoom = (
+            widgets.FloatSlider(
+                start, min=low, max=high, step=step, description=name, readout_format=digits,
+                style={"description_width": "36px"}, layout=widgets.Layout(width="200px"),
+            )
+            for name, start, step, digits, (low, high) in zip(
+                ("turn", "tilt", "zoom"), (0, 0, 1), (1, 1, 0.1), (".0f", ".0f", ".1f"), LIMITS, strict=True
+            )
+        )  # fmt: skip
+        move = on_main_thread(lambda *camera: self.look(*camera))
         for slider in (self.turn, self.tilt, self.zoom):
-            slider.observe(move, "value")
+            slider.observe(lambda change: self._moving or move(*self._sliders()), "value")
+        self._image.observe(lambda change: self._moving or move(*change.new), "camera")
         parts = [
             self._image,
             widgets.HBox([self.turn, self.tilt, self.zoom], layout=widgets.Layout(flex_flow="row wrap")),
@@ -170,6 +178,19 @@ class FaceView:
         if label:
             parts.insert(1, colour_bar(self.limits, label, self._colourmap))
         self.widget = widgets.VBox(parts)
+
+    def _sliders(self) -> tuple[float, float, float]:
+        return self.turn.value, self.tilt.value, self.zoom.value
+
+    def _follow(self, *camera: float) -> None:
+        """Sliders and mouse go on from a camera, wherever it came from."""
+        self._moving = True
+        try:
+            for slider, value in zip((self.turn, self.tilt, self.zoom), camera, strict=True):
+                slider.value = min(max(value, slider.min), slider.max)
+            self._image.camera = [float(value) for value in camera]
+        finally:
+            self._moving = False
 
 
 def colour_bar(limits, label: str, colourmap: str = COLOURMAP, width: int = 380) -> widgets.Image:

@@ -148,6 +148,19 @@ def drag(page, parameter: str, by: float, steps: int = 10) -> None:
     page.mouse.up()
 
 
+def drag_face(page, face, by: tuple[float, float], steps: int = 12) -> None:
+    """Drag on the face itself with the mouse, ``by`` pixels."""
+    face.scroll_into_view_if_needed()
+    box = face.bounding_box()
+    x, y = box["x"] + box["width"] / 4, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for k in range(1, steps + 1):
+        page.mouse.move(x + by[0] * k / steps, y + by[1] * k / steps)
+        page.wait_for_timeout(20)
+    page.mouse.up()
+
+
 def wait_for_change(page, locator, before: np.ndarray, least: float = 0.005, seconds: float = 15.0) -> float:
     """Share of pixels that changed, once it exceeds ``least``; 0 when that does not happen."""
     end = time.monotonic() + seconds

@@ -58,6 +58,23 @@ def check_drag(page, face, chart, parameter: str, by: float) -> None:
     assert after.std() > 15 and after.mean() > 60, "the face went black: drawn on the wrong thread?"
 
 
+def check_mouse(page, face) -> None:
+    """Dragging on the face turns it, the wheel zooms, a double click goes back; the sliders follow."""
+    ahead = lab.pixels(face)
+    lab.drag_face(page, face, (80, 30))
+    assert lab.wait_for_change(page, face, ahead, least=0.03) > 0.03, "dragging on the face does not turn it"
+    page.wait_for_timeout(500)
+    readout = page.locator(".widget-hslider", has_text="turn").first.locator(".widget-readout").inner_text()
+    assert abs(float(readout.replace("\u2212", "-"))) == 32, "80 pixels are 32 degrees"
+    turned = lab.pixels(face)
+    page.wait_for_timeout(500)  # scrolling the page into place must not count as the start of a zoom
+    page.mouse.wheel(0, -400)
+    assert lab.wait_for_change(page, face, turned, least=0.03) > 0.03, "the wheel does not zoom"
+    face.dblclick()
+    page.wait_for_timeout(1000)
+    assert lab.changed(ahead, lab.pixels(face)) < 0.003, "a double click does not go back"
+
+
 def check_playback(page, button: str) -> None:
     """A click on a button starts a playback that draws pictures; another one on "play" stops it."""
     page.evaluate("() => { window.loads.face = []; }")
@@ -75,6 +92,7 @@ def check_playback(page, button: str) -> None:
 @pytest.mark.slow
 def test_laplacian_sliders_and_playback(page, address):
     face, chart = workbench(page, address, LAPLACIAN)
+    check_mouse(page, face)
     check_drag(page, face, chart, "laplacian.w2", 90)
     check_playback(page, ".adaptiveface-play")
     assert page.problems == []
