@@ -40,6 +40,7 @@ class FeatureFeed:
     def __init__(self, sensor: LiveSensor, detector: FeatureDetector | None = None) -> None:
         self.sensor, self.dropped, self.running = sensor, 0, True
         self._detector, self._always = detector, detector is not None
+        self._own_detector: FeatureDetector | None = None
         self._changed = threading.Condition()
         self._frame: LiveFrame | None = None
         self._trouble: SensorError | None = None  # what the sensor reports since its last frame
@@ -118,6 +119,8 @@ class FeatureFeed:
             self._end(failure)
         finally:
             self.running = False
+            if self._own_detector is not None:
+                self._own_detector.close()
 
     def _step(self) -> None:
         try:
@@ -136,7 +139,7 @@ class FeatureFeed:
         if frame.colour is None or (given and not self._always):
             return frame.features
         if self._detector is None:
-            self._detector = FeatureDetector()
+            self._detector = self._own_detector = FeatureDetector(video=True)
         start = time.perf_counter()
         features = self._detector.detect(frame)
         self._detect_ms.append((time.perf_counter() - start) * 1e3)
