@@ -100,6 +100,20 @@ def _parser() -> argparse.ArgumentParser:
     _add_settings(stream)
     stream.set_defaults(run=run_stream)
 
+    live = commands.add_parser("live", help="a sensor, the neutral scan, and the tracked face: in the notebook or here")
+    live.add_argument("sensor", nargs="?", metavar="SENSOR", help="synthetic, realsense, ... or a recording")
+    live.add_argument("--headless", action="store_true", help="in the terminal; without SENSOR: which ones there are")
+    live.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help="of the notebooks")
+    live.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured first, by a guided scan")
+    live.add_argument("--save-actor", type=Path, metavar="FILE", help="where to keep the captured actor")
+    live.add_argument("--record", type=Path, metavar="DIR", help="also record every frame to a new folder")
+    live.add_argument("--out", type=Path, metavar="result.npz", help="the result, 3 MB a second")
+    live.add_argument("--vmc", nargs="?", const="", metavar="HOST:PORT", help="send VMC messages while tracking")
+    live.add_argument("--osc", nargs="?", const="", metavar="HOST:PORT", help="send OSC messages while tracking")
+    live.add_argument("--seconds", type=_whole(1, 86_400), metavar="N", help="of tracking; default: until Ctrl-C")
+    _add_settings(live)
+    live.set_defaults(run=run_live)
+
     bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
     bench.add_argument("--frames", type=_whole(10, 10_000), metavar="N", help="synthetic frames to time")
     bench.add_argument("--live", action="store_true", help="instead: latency and lost frames of the live chain")
@@ -259,10 +273,23 @@ def run_export(args: argparse.Namespace) -> int:
 def run_stream(args: argparse.Namespace) -> int:
     """``stream SOURCE``: track, and send every frame."""
     parameters = _parameters(args.set)
-    from .export.command import run_stream as run
     from .sensors import open_source
+    from .sensors.catalogue import is_live
+
+    if is_live(args.source):
+        from .live.command import run_live_stream
+
+        return run_live_stream(args, parameters)
+    from .export.command import run_stream as run
 
     return run(open_source(args.source), parameters, args)
+
+
+def run_live(args: argparse.Namespace) -> int:
+    """``live [SENSOR]``."""
+    from .live.command import run_live as run
+
+    return run(args, _parameters(args.set))
 
 
 def run_bench(args: argparse.Namespace) -> int:

@@ -121,13 +121,16 @@ def lab_environment(folder: Path, environment: dict[str, str] | None = None) -> 
     return values
 
 
-def lab_command(folder: Path, port: int | None = None, browser: bool = True) -> list[str]:
-    """The command line of JupyterLab on ``folder``: this machine only, with Jupyter's own token."""
+def lab_command(folder: Path, port: int | None = None, browser: bool = True, notebook: str | None = None) -> list[str]:
+    """The command line of JupyterLab on ``folder``: this machine only, with Jupyter's own token.
+
+    ``notebook``: the one to show at first, by default the first by name.
+    """
     command = [
         sys.executable, "-m", "jupyterlab", f"--ServerApp.root_dir={folder.resolve()}", f"--ServerApp.ip={LOOPBACK}",
         "--ServerApp.allow_remote_access=False",
     ]  # fmt: skip
-    first = min((path.name for path in folder.glob("*.ipynb")), default=None)
+    first = notebook or min((path.name for path in folder.glob("*.ipynb")), default=None)
     if first:
         command.append(f"--LabApp.default_url=/lab/tree/{first}")
     if port is not None:
@@ -146,8 +149,10 @@ def check_installed() -> None:
         raise MissingExtraError(f"{', '.join(missing)} not installed; the notebooks need: {PIP_LINE}")
 
 
-def open_lab(folder: Path, port: int | None = None, browser: bool = True) -> int:
+def open_lab(folder: Path, port: int | None = None, browser: bool = True, notebook: str | None = None) -> int:
     """Copy the notebooks to ``folder`` and run JupyterLab there until it is shut down; returns its exit status.
+
+    ``notebook``: the one to show at first.
 
     Raises :class:`MissingExtraError` without JupyterLab and :class:`AdaptiveFaceError` where ``port`` is taken.
     """
@@ -162,7 +167,7 @@ def open_lab(folder: Path, port: int | None = None, browser: bool = True) -> int
     if copied.kept:
         print(f"kept as you changed them: {', '.join(copied.kept)} (rename or delete one to get a fresh copy)")
     sys.stdout.flush()
-    return _become(lab_command(folder, port, browser), lab_environment(folder))
+    return _become(lab_command(folder, port, browser, notebook), lab_environment(folder))
 
 
 def _become(command: list[str], environment: dict[str, str]) -> int:

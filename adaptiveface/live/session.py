@@ -66,7 +66,7 @@ class LiveSession:
         self._count = self._failures = 0
         self._errors: list[AdaptiveFaceError] = []  # not raised yet
         self._fatal: AdaptiveFaceError | None = None
-        self._meter = Meter()
+        self._meter = Meter(feed)
         self._thread = threading.Thread(target=self._run, name=f"tracker {feed.sensor.name}", daemon=True)
         self._thread.start()
 
@@ -134,7 +134,7 @@ class LiveSession:
     @property
     def statistics(self) -> LiveStatistics:
         """Rate, latency, lost frames and the current message."""
-        return self._meter.statistics(self.feed)
+        return self._meter.statistics()
 
     def close(self) -> None:
         """Stop tracking, within a second; calling it again does nothing. Raises an error that nobody has seen yet."""

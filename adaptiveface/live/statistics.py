@@ -45,10 +45,10 @@ class LiveStatistics:
 
 
 class Meter:
-    """Collects what the statistics need; written by the tracker's thread, read by any."""
+    """Collects what the statistics need; written by the tracker's thread, read by any. Losses count from its start."""
 
-    def __init__(self) -> None:
-        self.message = ""
+    def __init__(self, feed: FeatureFeed) -> None:
+        self.message, self._feed, self._before = "", feed, _dropped(feed)
         self._tracked = self._lost = 0
         self._start = self._last = time.perf_counter()
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=1000)  # time, latency ms, track ms
@@ -66,23 +66,28 @@ class Meter:
         self._lost += not tracked.tracked
         self.message = tracked.reason
 
-    def statistics(self, feed: FeatureFeed) -> LiveStatistics:
+    def statistics(self) -> LiveStatistics:
         """The figures of this moment."""
         now = time.perf_counter()
         recent = np.array([row for row in tuple(self._recent) if row[0] > now - WINDOW_SECONDS]).reshape(-1, 3)
         span = min(max(now - self._start, 1e-3), WINDOW_SECONDS)
         p50, p95 = np.percentile(recent[:, 1], [50, 95]) if len(recent) else (0.0, 0.0)
-        sensor = feed.sensor
+        sensor, features, tracker = (n - before for n, before in zip(_dropped(self._feed), self._before, strict=True))
         return LiveStatistics(
             fps=len(recent) / span,
             latency_ms_p50=float(p50),
             latency_ms_p95=float(p95),
-            detect_ms=feed.detect_ms,
+            detect_ms=self._feed.detect_ms,
             track_ms=float(np.median(recent[:, 2])) if len(recent) else 0.0,
-            dropped_sensor=sensor.dropped - sensor.superseded,
-            dropped_features=sensor.superseded,
-            dropped_tracker=feed.dropped,
+            dropped_sensor=sensor,
+            dropped_features=features,
+            dropped_tracker=tracker,
             tracked=self._tracked,
             lost=self._lost,
             message=self.message,
         )
+
+
+def _dropped(feed: FeatureFeed) -> tuple[int, int, int]:
+    """Frames lost so far by the device, by the busy detector, by the busy tracker."""
+    return feed.sensor.lost_by_device, feed.sensor.superseded, feed.dropped

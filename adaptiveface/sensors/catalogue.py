@@ -93,6 +93,12 @@ def _connected(kind: str, description: str, find: Callable[[], list[tuple[str, s
     return [SensorInfo(f"{kind}:{serial}", name) for serial, name in devices]
 
 
+def is_live(text: str) -> bool:
+    """Whether ``text`` names a sensor that has no numbered frames: a real one, not a recording or ``synthetic``."""
+    kind = text.partition(":")[0]
+    return kind in _KINDS and kind != "synthetic" and not Path(text).exists()
+
+
 def open_sensor(text: str) -> LiveSensor:
     """Open the sensor or recording named by ``text``; a recording plays every frame, as fast as it is read.
 

@@ -125,6 +125,7 @@ class LiveSensor:
         self.colour_only = getattr(self._driver, "colour_only", False)  #: there is no depth: a degraded mode
         self.dropped, self.discarded = 0, 0  #: never handed out; unusable, repeated or out of order
         self.superseded = 0  #: of the dropped ones: replaced by a newer frame or too old before anybody read them
+        self._listeners: tuple[Callable[[LiveFrame], None], ...] = ()
         self._changed = threading.Condition()
         self._unread: deque[LiveFrame] = deque()
         self._capacity = 1
@@ -154,7 +155,7 @@ class LiveSensor:
                     raise SensorError(f"{self.name}: the sensor is closed")
                 frame = self._take()
                 if frame is not None:
-                    return frame
+                    break
                 if self._error is not None:
                     error = self._error
                     if isinstance(error, SensorDisconnectedError) and self.reconnect:
@@ -164,11 +165,32 @@ class LiveSensor:
                 if left <= 0:
                     raise self._overdue(timeout)
                 self._changed.wait(left)
+        if not self.live:
+            self._tell(frame)
+        return frame
 
     def buffer(self, frames: int) -> None:
         """Keep up to ``frames`` unread frames, however old: for recording, where each one counts and none is late."""
         with self._changed:
             self._capacity, self.max_age = frames, math.inf
+
+    @property
+    def lost_by_device(self) -> int:
+        """Of the dropped frames, those that the device never delivered."""
+        return self.dropped - self.superseded
+
+    def add_listener(self, listener: Callable[[LiveFrame], None]) -> None:
+        """Call ``listener`` with every frame: of a live sensor as it arrives, of a recording as it is handed out.
+
+        It must be quick and not raise.
+        """
+        with self._changed:
+            self._listeners += (listener,)
+
+    def remove_listener(self, listener: Callable[[LiveFrame], None]) -> None:
+        """Stop calling ``listener``."""
+        with self._changed:
+            self._listeners = tuple(known for known in self._listeners if known != listener)
 
     def close(self) -> None:
         """Stop the thread and release the sensor, within half a second; calling it again does nothing."""
@@ -191,6 +213,10 @@ class LiveSensor:
                 yield self.read()
             except EndOfRecording:
                 return
+
+    def _tell(self, frame: LiveFrame) -> None:
+        for listener in self._listeners:
+            listener(frame)
 
     def _take(self) -> LiveFrame | None:
         if not self._unread:
@@ -247,6 +273,8 @@ class LiveSensor:
         lost = max(-behind - 1, 0) if behind is not None and behind < 0 else 0
         self._last = raw.sequence
         frame = _live_frame(raw)
+        if self.live:
+            self._tell(frame)
         with self._changed:
             if not self.live:
                 self._changed.wait_for(lambda: len(self._unread) < self._capacity or self._closed)

@@ -151,7 +151,7 @@ def run_record(args) -> int:
     """``record SOURCE --out DIR [--seconds N]``."""
     from .catalogue import open_sensor
 
-    _check_new(args.out)
+    check_new(args.out)
     with open_sensor(args.source) as sensor:
         print(f"{sensor.name}: recording" + (f" for {args.seconds} s" if args.seconds else "; Ctrl-C ends it"))
         print(record_sensor(sensor, args.out, args.seconds))
@@ -162,7 +162,7 @@ def run_convert(args) -> int:
     """``convert FILE --out DIR``."""
     from .catalogue import open_sensor
 
-    _check_new(args.out)
+    check_new(args.out)
     if not args.file.exists():
         raise FileFormatError(f"{args.file}: no such file")
     with open_sensor(str(args.file)) as sensor:
@@ -172,7 +172,8 @@ def run_convert(args) -> int:
     return 0
 
 
-def _check_new(folder: Path) -> None:
+def check_new(folder: Path) -> None:
+    """Raise :class:`FileFormatError` where ``folder`` is a file or holds a recording already."""
     if (folder / "intrinsic.json").exists():
         raise FileFormatError(f"{folder}: already holds a recording; name another folder")
     if folder.exists() and not folder.is_dir():

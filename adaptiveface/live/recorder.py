@@ -1,0 +1,63 @@
+"""Recording beside tracking: every frame that the sensor delivers, whether or not detector and tracker keep up."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+from ..errors import AdaptiveFaceError, FileFormatError
+from ..sensors.live import LiveFrame, LiveSensor
+from ..sensors.record import FrameRecorder, RecordingSummary, check_new
+from ..sensors.recording import RecordingWriter
+
+
+class LiveRecorder:
+    """Writes every frame of ``sensor`` from now on to the new ``folder``, until :meth:`close`.
+
+    A frame that finds the disk too slow is counted (``refused``), an error (a full disk, another image size) stops the
+    recording and nothing else: ``error`` holds it, and :meth:`close` raises it. What was written until then stays.
+    Raises :class:`FileFormatError` for a folder that cannot be used.
+    """
+
+    def __init__(self, sensor: LiveSensor, folder: Path) -> None:
+        check_new(folder)
+        self.sensor, self.folder, self.error = sensor, Path(folder), None
+        self._lock, self._closed = threading.Lock(), False
+        self._recorder: FrameRecorder | None = None
+        self._start, self._lost = time.perf_counter(), sensor.lost_by_device
+        sensor.add_listener(self._write)
+
+    @property
+    def frames(self) -> int:
+        """Frames on disk so far."""
+        return self._recorder.frames if self._recorder else 0
+
+    def _write(self, frame: LiveFrame) -> None:
+        with self._lock:
+            if self._closed or self.error is not None:
+                return
+            try:
+                if self._recorder is None:
+                    scale = min(max(self.sensor.depth_scale, 100.0), 100_000.0)
+                    writer = RecordingWriter(self.folder, frame.camera, self.sensor.fps, scale)
+                    self._recorder = FrameRecorder(writer, lossless=not self.sensor.live)
+                self._recorder.write(frame)
+            except (AdaptiveFaceError, OSError) as error:
+                self.error = error if isinstance(error, AdaptiveFaceError) else FileFormatError(str(error))
+
+    def close(self) -> RecordingSummary:
+        """Write what is queued; calling it again only returns the summary. Raises ``error`` the first time."""
+        self.sensor.remove_listener(self._write)
+        with self._lock:
+            first, self._closed = not self._closed, True
+            if first and self._recorder is not None:
+                try:
+                    self._recorder.close()
+                except AdaptiveFaceError as error:
+                    self.error = self.error or error
+        if first and self.error is not None:
+            raise self.error
+        refused = self._recorder.refused if self._recorder else 0
+        lost = self.sensor.lost_by_device - self._lost
+        return RecordingSummary(self.folder, self.frames, lost, refused, time.perf_counter() - self._start)

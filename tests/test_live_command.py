@@ -1,0 +1,165 @@
+"""``adaptiveface live --headless``: lists, scans, tracks, records and streams; Ctrl-C and errors leave everything behind."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from live_faults import ScriptedDriver, raw
+from recordings import talking_head
+
+from adaptiveface import lab
+from adaptiveface.actor import Actor
+from adaptiveface.cli import main
+from adaptiveface.errors import RecordingError, SensorDisconnectedError
+from adaptiveface.export.result import Result
+from adaptiveface.live import recorder as recorder_module
+from adaptiveface.sensors import Recording, catalogue
+from adaptiveface.sensors.live import LiveSensor
+from adaptiveface.synthetic.sensor import SyntheticSensor
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory):
+    """(recording folder, its exact actor.npz)"""
+    folder = tmp_path_factory.mktemp("live")
+    talking_head(folder / "take").save(folder / "actor.npz")
+    return folder / "take", folder / "actor.npz"
+
+
+def live(*args) -> int:
+    return main(["live", *map(str, args)])
+
+
+def test_without_a_sensor_it_lists_what_there_is(capsys):
+    assert live("--headless") == 0
+    out = capsys.readouterr().out
+    assert "synthetic " in out and "realsense" in out and "record3d" in out
+
+
+def test_a_recording_is_tracked_recorded_and_saved(take, tmp_path, capsys):
+    recording, actor = take
+    out, copy, again = tmp_path / "r.npz", tmp_path / "copy", tmp_path / "a.npz"
+    options = ("--actor", actor, "--out", out, "--record", copy, "--save-actor", again)
+    assert live(recording, "--headless", *options, "--set", "adaptive_pca.K=3") == 0
+    text = capsys.readouterr().out
+    assert "8 frames: 8 tracked" in text and "latency" in text and f"{copy}: 8 frames" in text
+    result = Result.load(out)
+    assert result.tracked.all() and '"K": 3' in result.parameters
+    assert main(["track", str(recording), "--actor", str(actor), "--out", str(tmp_path / "t.npz"), "--set",
+                 "adaptive_pca.K=3"]) == 0  # fmt: skip
+    np.testing.assert_array_equal(Result.load(tmp_path / "t.npz").vertices, result.vertices)  # as without threads
+    for a, b in zip(Recording(recording), Recording(copy), strict=True):
+        assert np.array_equal(a.depth, b.depth)
+    np.testing.assert_array_equal(Actor.load(again).neutral, Actor.load(actor).neutral)
+
+
+def test_bad_requests_end_in_one_line_before_any_work(take, tmp_path, capsys):
+    recording, actor = take
+    for options, words in (
+        ((recording, "--headless", "--out", tmp_path / "r.txt"), "must end in .npz"),
+        ((recording, "--headless", "--out", tmp_path / "no" / "r.npz"), "does not exist"),
+        ((recording, "--headless", "--record", recording), "already holds a recording"),
+        ((recording, "--headless", "--vmc", "a:99999999"), "HOST:PORT"),
+        (("kinect9", "--headless"), "possible sensors"),
+        (("synthetic", "--out", tmp_path / "r.npz", "--seconds", "3"), "--out, --seconds: only with --headless"),
+        (("synthetic", "--actor", tmp_path / "none.npz"), "none.npz"),
+    ):
+        assert live(*options) == 2
+        err = capsys.readouterr().err
+        assert words in err and err.count("\n") == 1 and not (tmp_path / "r.npz").exists()
+
+
+def test_the_notebook_is_told_sensor_and_actor(take, tmp_path, monkeypatch):
+    for name in ("ADAPTIVEFACE_SENSOR", "ADAPTIVEFACE_ACTOR"):
+        monkeypatch.setenv(name, "")
+    started = []
+    monkeypatch.setattr(lab, "_become", lambda command, environment: started.append((command, environment)) or 0)
+    monkeypatch.setattr(lab, "NEEDED", ())
+    assert live(take[0], "--actor", take[1], "--dir", tmp_path / "books") == 0
+    command, environment = started[0]
+    assert "--LabApp.default_url=/lab/tree/live_sensor.ipynb" in command
+    assert environment["ADAPTIVEFACE_SENSOR"] == str(take[0]) and environment["ADAPTIVEFACE_ACTOR"] == str(take[1])
+
+
+def play(monkeypatch, steps, **options):
+    """What ``scripted`` opens from now on."""
+    monkeypatch.setitem(catalogue._KINDS, "scripted", lambda _: LiveSensor(lambda: ScriptedDriver(steps), **options))
+
+
+def steps_of(take):
+    return [raw(frame, i) for i, frame in enumerate(Recording(take[0]))]
+
+
+def test_without_an_actor_the_neutral_is_scanned_by_text(tmp_path, monkeypatch, capsys):
+    """Half a second from frame to frame, so that 24 of them are the ten seconds of the scan, and the rest is tracked."""
+    performer = SyntheticSensor(5, neutral_frames=24, frames=8, repeats=1, colour=False)
+    play(monkeypatch, [dataclasses.replace(raw(f, i), timestamp=i / 2) for i, f in enumerate(performer)])
+    quick = ["fit.iterations=8", "shrink_wrap.iterations=3", "fusion.passes=1", "fusion.voxel=4"]
+    assert (
+        live("scripted", "--headless", "--save-actor", tmp_path / "a.npz", "--out", tmp_path / "r.npz", "--set", *quick)
+        == 0
+    )
+    out = capsys.readouterr().out
+    assert "look straight at the camera" in out and "turn your head slowly to your left" in out
+    neutral = Actor.load(tmp_path / "a.npz").neutral
+    assert np.abs(neutral - performer.performer.neutral).mean() < 10.0  # mm, in the performer's own head frame
+    result = Result.load(tmp_path / "r.npz")
+    assert 8 <= len(result) < 20 and result.tracked.all()
+
+
+def test_a_sensor_that_fails_for_good_ends_with_its_error_and_the_result_is_kept(take, tmp_path, monkeypatch, capsys):
+    play(monkeypatch, [*steps_of(take)[:5], SensorDisconnectedError("scripted: unplugged")], reconnect=False)
+    assert live("scripted", "--headless", "--actor", take[1], "--out", tmp_path / "r.npz") == 2
+    assert "scripted: unplugged" in capsys.readouterr().err
+    assert len(Result.load(tmp_path / "r.npz")) == 5
+
+
+def test_a_full_disk_ends_the_recording_only_and_is_told_at_the_end(take, tmp_path, monkeypatch, capsys):
+    def full(self, frame):
+        if self.frames or self._waiting:
+            raise RecordingError(f"{self.writer.path}: No space left on device after 1 frames, which are kept")
+        return write(self, frame)
+
+    write = recorder_module.FrameRecorder.write
+    monkeypatch.setattr(recorder_module.FrameRecorder, "write", full)
+    play(monkeypatch, steps_of(take))
+    code = live("scripted", "--headless", "--actor", take[1], "--out", tmp_path / "r.npz", "--record", tmp_path / "rec")
+    assert code == 2 and "No space left" in capsys.readouterr().err
+    assert len(Result.load(tmp_path / "r.npz")) == 8 and len(Recording(tmp_path / "rec")) == 1
+
+
+def test_streaming_a_live_sensor_goes_through_the_same_session(take, monkeypatch, capsys):
+    pytest.importorskip("pythonosc")
+    play(monkeypatch, steps_of(take))
+    assert main(["stream", "scripted", "--actor", str(take[1])]) == 0
+    out = capsys.readouterr().out
+    assert "VMC to 127.0.0.1:39539" in out and "latency" in out
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_ends_cleanly_and_everything_is_saved(take, tmp_path):
+    arguments = ["live", "synthetic:5", "--headless", "--actor", take[1], "--out", tmp_path / "r.npz", "--record",
+                 tmp_path / "rec"]  # fmt: skip
+    code = "from adaptiveface.cli import main; raise SystemExit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        deadline = time.monotonic() + 120
+        while len(list(tmp_path.glob("rec/depth/*.png"))) < 60 and time.monotonic() < deadline:
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 0 and "ended by Ctrl-C" in out and err == ""
+    assert len(Result.load(tmp_path / "r.npz")) > 0 and len(Recording(tmp_path / "rec")) >= 60
