@@ -8,11 +8,16 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+import trimesh
+from export_scene import tracked_result
+from PIL import Image
 from scipy import ndimage
 
+from adaptiveface import cli
 from adaptiveface.errors import FileFormatError, ParameterError
 from adaptiveface.export.animation import character_animation
-from adaptiveface.export.gltf import write_glb
+from adaptiveface.export.arkit_csv import read_arkit_csv
+from adaptiveface.export.gltf import read_glb_animation, write_glb
 from adaptiveface.export.obj_sequence import write_obj, write_obj_shapes
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.mesh import boundary_edges, surface_points
@@ -168,6 +173,59 @@ def test_any_arkit_named_obj_folder_retargets(tmp_path):
     mesh = character_animation(character, performance())
     write_glb(tmp_path / "ball.glb", mesh)
     assert load_character(tmp_path / "ball.glb").expression_names == character.expression_names
+
+
+def low_poly_head() -> tuple[trimesh.Trimesh, dict[str, np.ndarray]]:
+    """A crude head and its displacements: an ellipsoid with nose and ears of their own, made by nothing of ours."""
+    skull = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    skull.apply_scale([75, 110, 90])
+    nose = trimesh.creation.cone(radius=12, height=30, sections=7)
+    nose.apply_translation([0, -5, 85])
+    ears = [trimesh.creation.box(extents=[8, 40, 25], transform=trimesh.transformations.translation_matrix([x, 0, 0]))
+            for x in (-78, 78)]  # fmt: skip
+    head = trimesh.util.concatenate([skull, nose, *ears])
+    x, y, z = head.vertices.T
+    front = z > 20
+    chin, brow = np.clip((-20 - y) / 80, 0, 1) * front, np.exp(-(((y - 45) / 15) ** 2)) * front
+    corner = np.exp(-(((np.abs(x) - 35) / 15) ** 2) - ((y + 40) / 15) ** 2) * front
+    return head, {
+        "JawOpen": chin[:, None] * [0.0, -30.0, -5.0], "browInnerUp": brow[:, None] * [0.0, 12.0, 0.0],
+        "mouthSmile_L": (corner * (x > 0))[:, None] * [6.0, 9.0, 0.0],
+        "MouthSmileRight": (corner * (x < 0))[:, None] * [-6.0, 9.0, 0.0],
+        "cheekPuff": (np.abs(x) > 40)[:, None] * front[:, None] * np.array(head.vertex_normals) * 6.0,
+    }  # fmt: skip
+
+
+def test_a_head_of_foreign_topology_retargets_without_code(tmp_path, capsys):
+    """Only files and commands: OBJ files as trimesh writes them, then ``export`` to every format."""
+    head, shapes = low_poly_head()
+    assert len(head.vertices) < 300 and len(head.split(only_watertight=False)) == 4
+    folder = tmp_path / "blocky"
+    folder.mkdir()
+    for name, shape in {"neutral": 0, **shapes}.items():
+        moved = trimesh.Trimesh(head.vertices + shape, head.faces, process=False)
+        moved.export(folder / f"{name}.obj")
+    actor, result, _ = tracked_result()
+    actor.save(tmp_path / "actor.npz")
+    result.save(tmp_path / "result.npz")
+    for kind, out in (("glb", "b.glb"), ("arkit-csv", "b.csv"), ("obj", "b"), ("gif", "b.gif")):
+        command = ["export", str(tmp_path / "result.npz"), "--character", str(folder), "--format", kind,
+                   "--out", str(tmp_path / out)]  # fmt: skip
+        assert cli.main(command) == 0
+    said = capsys.readouterr().out
+    assert "blocky lacks: " in said and "eyeBlinkLeft" in said  # nothing is dropped silently
+    mesh = read_glb_animation(tmp_path / "b.glb")
+    assert len(mesh.neutral) == len(head.vertices) and np.array_equal(mesh.triangles, head.faces)
+    curves = read_arkit_csv(tmp_path / "b.csv").curves
+    expected = np.array(head.vertices)[None] + sum(
+        curves[:, ARKIT_NAMES.index(canonical_name(name)), None, None] * shape for name, shape in shapes.items()
+    )
+    got = np.stack([mesh.shape(f) for f in range(len(mesh))])
+    np.testing.assert_allclose(got, expected, atol=0.02)
+    assert np.linalg.norm(expected - head.vertices, axis=2).max() > 10  # it does move
+    assert len(list((tmp_path / "b").glob("*.obj"))) == len(result)
+    with Image.open(tmp_path / "b.gif") as picture:
+        assert picture.n_frames > 3
 
 
 def test_ict_facekit_layout(tmp_path):

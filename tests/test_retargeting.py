@@ -20,7 +20,15 @@ from adaptiveface.retargeting.character import Character, load_character
 from adaptiveface.retargeting.correctives import character_correctives, transferred_correctives
 from adaptiveface.retargeting.resolve import SparseResolve
 from adaptiveface.retargeting.retarget import driving_coefficients, increasing, retarget
-from adaptiveface.retargeting.smoothing import OneEuro, jitter, step_lag
+from adaptiveface.retargeting.smoothing import (
+    COMPARED,
+    FILTERS,
+    KalmanSmoothing,
+    OneEuro,
+    jitter,
+    smoothing_costs,
+    step_lag,
+)
 from adaptiveface.synthetic.performer import Performer
 from adaptiveface.synthetic.script import performance
 
@@ -195,6 +203,33 @@ def test_smoothing_a_performance_keeps_it_in_range(scene):
     smooth = retarget(scene[1], smoothing=OneEuro(1.0, 0.5))
     assert smooth.curves.min() >= 0 and smooth.curves.max() <= 1
     assert np.abs(np.diff(smooth.curves, axis=0)).sum() < np.abs(np.diff(retarget(scene[1]).curves, axis=0)).sum()
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_streams_are_filtered_as_recordings_are(name):
+    values = np.random.default_rng(4).uniform(size=(40, 5))
+    smoothing, state, out = FILTERS[name](), None, []
+    for value in values:
+        smooth, state = smoothing.step(value, 1 / 30, state)
+        out.append(smooth)
+    np.testing.assert_allclose(out, smoothing.apply(values, np.arange(40) / 30), atol=1e-12)
+
+
+def test_kalman_readings_differ_as_documented():
+    """Section 4.2's noises read as variances: a gain of 0.9; as white acceleration: a late and smooth answer."""
+    quick, slow = KalmanSmoothing(), KalmanSmoothing("acceleration")
+    step = np.concatenate([np.zeros((60, 1)), np.ones((60, 1))])
+    assert quick.apply(step, np.arange(120) / 30)[60, 0] == pytest.approx(0.9, abs=0.03)
+    assert step_lag(quick.apply) < 5 and step_lag(slow.apply) > 200
+    assert quick.step(np.zeros(3), 1 / 30, None)[0].shape == (3,)
+
+
+def test_costs_of_smoothing_hold_every_filter():
+    still = 0.3 + 0.02 * np.random.default_rng(0).normal(size=(200, 4))
+    rows = smoothing_costs(still)
+    assert [row.name for row in rows] == ["none", *COMPARED]
+    assert rows[0].jitter == pytest.approx(0.02, rel=0.1) and rows[0].lag == 0
+    assert all(row.jitter < rows[0].jitter and row.lag > 0 for row in rows[1:])
 
 
 @pytest.mark.parametrize("values", [{"cutoff": 0.0}, {"beta": -1.0}, {"cutoff": float("nan")}, {"speed_cutoff": 1e9}])

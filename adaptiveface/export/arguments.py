@@ -20,7 +20,7 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--format", choices=tuple(FORMATS), default="glb", help="default: %(default)s")
     command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
     command.add_argument("--coefficients", choices=COEFFICIENTS, default="resolved", help="default: %(default)s")
-    command.add_argument("--smooth", action="store_true", help="one-euro filter on the curves")
+    _add_smoothing(command)
     command.add_argument("--correctives", action="store_true",
                          help="also carry v4 - v1 to a character of the actor's topology")  # fmt: skip
     command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside the result, if any")
@@ -37,5 +37,10 @@ def add_stream_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--osc", nargs="?", const="", metavar="HOST:PORT",
                          help="plain OSC messages (default: 127.0.0.1:9000)")  # fmt: skip
     command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
-    command.add_argument("--smooth", action="store_true", help="one-euro filter on the curves")
+    _add_smoothing(command)
     command.add_argument("--fast", action="store_true", help="do not hold a recording back to its own speed")
+
+
+def _add_smoothing(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--smooth", action="store_true", help="filter the curves")
+    command.add_argument("--filter", choices=("one-euro", "kalman"), help="smooth with it (default: one-euro)")

@@ -15,7 +15,7 @@ from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
 from ..retargeting.correctives import character_correctives
 from ..retargeting.retarget import coverage, frame_rate, retarget
-from ..retargeting.smoothing import OneEuro
+from ..retargeting.smoothing import FILTERS, Smoothing
 from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
 from .result import Result
@@ -29,7 +29,7 @@ class ExportOptions:
 
     character: str = "actor"
     coefficients: str = "resolved"
-    smoothing: OneEuro | None = None
+    smoothing: Smoothing | None = None
     correctives: bool = False
 
 
@@ -38,7 +38,7 @@ def run_export(args: argparse.Namespace) -> int:
     out = _output(args)
     result = Result.load(args.result)
     actor = _actor(args.actor, args.result.parent, result)
-    options = ExportOptions(args.character, args.coefficients, OneEuro() if args.smooth else None, args.correctives)
+    options = ExportOptions(args.character, args.coefficients, _smoothing(args), args.correctives)
     if args.format == "arkit-csv":
         from .arkit_csv import write_arkit_csv
 
@@ -66,6 +66,10 @@ def run_export(args: argparse.Namespace) -> int:
     _write_mesh(out, mesh, args.format)
     print(f"{out}: {mesh.name}, {len(mesh)} frames, {len(mesh.target_names)} shapes")
     return 0
+
+
+def _smoothing(args: argparse.Namespace) -> Smoothing | None:
+    return FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None
 
 
 def _write_mesh(out: Path, mesh: AnimatedMesh, kind: str) -> None:
@@ -172,7 +176,7 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
     actor = Actor.load(args.actor) if args.actor else None
     check_streaming()  # fails before the capture, not after it
     actor = actor or capture_from(source, parameters, args.neutral_frames, progress=True)
-    streamer = Streamer(actor, parameters.blendshapes.A, vmc, osc, OneEuro() if args.smooth else None)
+    streamer = Streamer(actor, parameters.blendshapes.A, vmc, osc, _smoothing(args))
     if streamer.unknown:
         print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
     for kind, address in (("VMC", vmc), ("OSC", osc)):

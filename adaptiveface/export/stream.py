@@ -11,7 +11,7 @@ from ..actor import Actor
 from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
 from ..retargeting.arkit import ARKIT_NAMES, arkit_weights
 from ..retargeting.resolve import SparseResolve
-from ..retargeting.smoothing import OneEuro
+from ..retargeting.smoothing import Smoothing
 from ..tracking.types import TrackedFrame
 from .animation import view_motion
 from .gltf import METRES, quaternions
@@ -56,7 +56,7 @@ class Streamer:
 
     def __init__(
         self, actor: Actor, count: int | None = None, vmc: Address | None = None, osc: Address | None = None,
-        smoothing: OneEuro | None = None,
+        smoothing: Smoothing | None = None,
     ) -> None:
         names = actor.expression_names[:count]
         self._weights, self._resolve = arkit_weights(names), SparseResolve(actor, names)

@@ -14,7 +14,7 @@ from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .character import Character
 from .resolve import SparseResolve
-from .smoothing import OneEuro
+from .smoothing import Smoothing
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Performance:
         """Frames per second of the recording (from the median distance of its timestamps)."""
         return frame_rate(self.timestamps)
 
-    def smoothed(self, smoothing: OneEuro | None) -> Performance:
+    def smoothed(self, smoothing: Smoothing | None) -> Performance:
         """The same performance with filtered curves; None leaves them as they are."""
         if smoothing is None:
             return self
@@ -75,7 +75,7 @@ def head_frames(result: Result) -> np.ndarray:
 
 
 def retarget(
-    result: Result, coefficients: str = "resolved", smoothing: OneEuro | None = None, actor: Actor | None = None
+    result: Result, coefficients: str = "resolved", smoothing: Smoothing | None = None, actor: Actor | None = None
 ) -> Performance:
     """The performance of a tracked result, from :func:`driving_coefficients`. Raises :class:`ParameterError`."""
     values = driving_coefficients(result, coefficients, actor)

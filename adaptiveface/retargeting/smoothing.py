@@ -1,12 +1,28 @@
-"""Smoothing of coefficient curves: the one-euro filter, and what it costs (jitter on a still face, lag on a step)."""
+"""Smoothing of coefficient curves: one-euro filter or Kalman model, and what they cost.
+
+The cost: jitter on a still face (what smoothing is for) against lag on a step (what it takes).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from ..errors import ParameterError
+from ..parameters import KalmanParameters
+from ..tracking.kalman import CoefficientFilter
+
+
+class Smoothing(Protocol):
+    """A causal filter of curves, for recordings (``apply``) and streams (``step``)."""
+
+    def apply(self, values: np.ndarray, timestamps: np.ndarray) -> np.ndarray:
+        """(F, ...) filtered values at times (F,) s; every channel on its own."""
+
+    def step(self, value: np.ndarray, dt: float, state: Any) -> tuple[np.ndarray, Any]:
+        """One sample of a stream: (filtered value, new state); ``state`` None at the start, ``dt`` s."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +64,59 @@ class OneEuro:
         return out, (out, speed)
 
 
+@dataclass(frozen=True)
+class KalmanSmoothing:
+    """The Kalman model of section 4.2 on finished curves; ``model`` as ``kalman.model`` in the parameters.
+
+    One sample is one step, whatever its time. ``variance`` hardly smooths and hardly lags, ``acceleration`` does both:
+    :class:`CoefficientFilter` says how the paper's two noises lead to either.
+    """
+
+    model: str = "variance"
+
+    def apply(self, values: np.ndarray, timestamps: np.ndarray) -> np.ndarray:
+        """(F, A) filtered values; the times are not used."""
+        smoother = CoefficientFilter(KalmanParameters(model=self.model))
+        return np.array([smoother.update(value) for value in np.asarray(values, float)]).reshape(np.shape(values))
+
+    def step(self, value: np.ndarray, dt: float, state: CoefficientFilter | None):
+        """One sample (A,) of a stream: (filtered value, new state); ``state`` None at the start."""
+        state = CoefficientFilter(KalmanParameters(model=self.model)) if state is None else state
+        return state.update(value), state
+
+
+#: What the command line offers.
+FILTERS: dict[str, type[Smoothing]] = {"one-euro": OneEuro, "kalman": KalmanSmoothing}
+#: What is compared in reports and docs: the offered ones first.
+COMPARED: dict[str, Smoothing] = {
+    "one-euro, 2 Hz, beta 3 (--smooth)": OneEuro(),
+    "one-euro, 1 Hz, beta 1": OneEuro(1.0, 1.0),
+    "Kalman, noises as variances (--filter kalman)": KalmanSmoothing(),
+    "Kalman, noises as accelerations": KalmanSmoothing("acceleration"),
+}
+
+
+@dataclass(frozen=True)
+class SmoothingCost:
+    """jitter: of a still face's coefficients, 0 to 1; lag: of half a step, ms; overshoot: of a step, as a share."""
+
+    name: str
+    jitter: float
+    lag: float
+    overshoot: float
+
+
+def smoothing_costs(still: np.ndarray, fps: float = 30.0) -> tuple[SmoothingCost, ...]:
+    """The cost of no filter and of every one of ``COMPARED``, on coefficients (F, A) of a still face."""
+    times = np.arange(len(still)) / fps
+    rows = [SmoothingCost("none", jitter(still), 0.0, 0.0)]
+    for name, smoothing in COMPARED.items():
+        out = step_response(smoothing.apply, fps)[2]
+        rows.append(SmoothingCost(name, jitter(smoothing.apply(still, times)), step_lag(smoothing.apply, fps=fps),
+                                  max(float(out.max()) - 1.0, 0.0)))  # fmt: skip
+    return tuple(rows)
+
+
 def _share(cutoff, dt: float):
     """Exponential smoothing factor of a first-order low-pass with ``cutoff`` Hz."""
     return 1.0 / (1.0 + 1.0 / (2 * np.pi * cutoff * dt))
@@ -58,12 +127,19 @@ def jitter(values: np.ndarray) -> float:
     return float(np.sqrt(np.var(values, axis=0).mean()))
 
 
+def step_response(smooth, fps: float = 30.0, seconds: float = 4.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (F,) s from the step on, the step (F,) from 0 to 1 in the middle, and ``smooth(values, times)`` of it (F,)."""
+    count = int(seconds * fps)
+    times = np.arange(count) / fps
+    step = (np.arange(count) >= count // 2).astype(float)
+    return times - (count // 2 - 0.5) / fps, step, smooth(step[:, None], times)[:, 0]
+
+
 def step_lag(smooth, height: float = 0.8, fps: float = 30.0) -> float:
     """Milliseconds by which ``smooth(values (F, 1), timestamps (F,))`` passes half of a step later than the step."""
-    count = 4 * int(fps)
-    times = np.arange(count) / fps
-    values = np.where(np.arange(count) < count // 2, 0.0, height)[:, None]
-    out = smooth(values, times)[:, 0]
-    after = int(np.argmax(out >= height / 2))
-    fraction = (height / 2 - out[after - 1]) / (out[after] - out[after - 1]) if after else 0.0
-    return float((after - 1 + fraction - (count // 2 - 1 + 0.5)) / fps * 1e3)
+    times, _, out = step_response(lambda values, t: smooth(height * values, t) / height, fps)
+    after = int(np.argmax(out >= 0.5))
+    if not after:
+        return 0.0
+    fraction = (0.5 - out[after - 1]) / (out[after] - out[after - 1])
+    return float((times[after - 1] + fraction / fps) * 1e3)
