@@ -1,11 +1,14 @@
-"""Every notebook runs clean from its first to its last cell, headless; a callback that raises fails the run.
+"""Notebooks are stored clean, a callback that raises fails their run, an interrupt does not end their kernel.
 
-The same with ``pytest --nbmake notebooks``. The short form is used: ``ADAPTIVEFACE_NOTEBOOK_FAST=1``.
+That every notebook runs from its first to its last cell is ``pytest --nbmake notebooks``, a part of plain ``pytest``.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -59,25 +62,42 @@ def test_notebook_is_stored_clean_and_readable(path):
     assert "/tmp" not in text and "/work" not in text
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path):
-    notebook = run(nbformat.read(path, 4), FOLDER)
-    problems = [
-        output for cell in notebook.cells for output in cell.get("outputs", []) if output.get("name") == "stderr"
-    ]
-    assert not any("Traceback" in output.text for output in problems)
+def nbmake(cells: list[str], folder: Path) -> subprocess.CompletedProcess:
+    """``pytest --nbmake`` on a notebook of these cells, with the settings of our own notebooks."""
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    notebook.metadata.kernelspec = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    nbformat.write(notebook, folder / "planted.ipynb")
+    shutil.copy(FOLDER / "conftest.py", folder)
+    (folder / "pytest.ini").write_text("[pytest]\n")
+    command = [sys.executable, "-m", "pytest", "--nbmake", "-p", "no:cacheprovider", str(folder)]
+    env = {k: v for k, v in os.environ.items() if not k.startswith("ADAPTIVEFACE_")}
+    path = os.pathsep.join([str(FOLDER.parent), env.get("PYTHONPATH", "")])
+    return subprocess.run(command, capture_output=True, text=True, env={**env, "PYTHONPATH": path}, cwd=folder)
 
 
-def test_a_raising_slider_callback_fails_the_run(tmp_path):
-    cells = [
-        "from adaptiveface import views\n"
-        "def refuse(parameters):\n    raise ValueError('no such face')\n"
-        "panel = views.ParameterPanel(['laplacian'], refuse)\npanel.widget",
-        "panel['laplacian.w2'].value = 100.0",
-    ]
-    with pytest.raises(nbclient.exceptions.CellExecutionError, match="no such face"):
-        executed(cells, tmp_path)
+PANEL = (
+    "from adaptiveface import views\n"
+    "def refuse(parameters):\n    if parameters.laplacian.w2 > 50: raise ValueError('no such face')\n"
+    "panel = views.ParameterPanel(['laplacian'], refuse)\npanel.widget"
+)
+
+
+@pytest.mark.parametrize("value, passes", [(10.0, True), (100.0, False)])
+def test_nbmake_fails_on_a_planted_slider_callback_that_raises(tmp_path, value, passes):
+    """The same notebook, once with a value that its callback takes and once with one it refuses."""
+    run = nbmake([PANEL, f"panel['laplacian.w2'].value = {value}"], tmp_path)
+    assert (run.returncode == 0) == passes, run.stdout + run.stderr
+    assert ("no such face" in run.stdout) != passes and ("1 passed" in run.stdout) == passes
+
+
+def test_nbmake_fails_on_an_error_in_the_background_that_no_cell_waits_for(tmp_path):
+    task = (
+        "import asyncio\nfrom adaptiveface.views.kernel import BackgroundTask\n"
+        "async def work():\n    raise ValueError('late')\n"
+        "task = BackgroundTask()\ntask.start(work())\nawait asyncio.sleep(0.3)"
+    )
+    run = nbmake([task], tmp_path)
+    assert run.returncode == 1 and "late" in run.stdout, run.stdout + run.stderr
 
 
 def test_an_error_in_the_background_fails_the_cell_that_waits(tmp_path):

@@ -97,6 +97,7 @@ class BackgroundTask:
             asyncio.run(coroutine)
         else:
             self._task = loop.create_task(coroutine)
+            self._task.add_done_callback(_tell)
 
     def stop(self) -> None:
         if self.running:
@@ -108,6 +109,16 @@ class BackgroundTask:
             await asyncio.sleep(0.01)
         if self._task is not None and not self._task.cancelled() and self._task.exception() is not None:
             raise self._task.exception()
+
+
+def _tell(task: asyncio.Task) -> None:
+    """An error that nobody waits for appears under the cell, and fails a test run of the notebook."""
+    if not task.cancelled() and task.exception() is not None:
+        from IPython import get_ipython
+
+        error = task.exception()
+        if get_ipython() is not None:
+            get_ipython().showtraceback((type(error), error, error.__traceback__))
 
 
 def running_tasks() -> int:
