@@ -131,7 +131,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_source(command: argparse.ArgumentParser) -> None:
-    command.add_argument("source", metavar="SOURCE", help="a recording folder, or synthetic[:SEED[:NOISE]]")
+    text = "a recording folder, a video (colour only), or synthetic[:SEED[:NOISE]]"
+    command.add_argument("source", metavar="SOURCE", help=text)
 
 
 def _add_settings(command: argparse.ArgumentParser) -> None:

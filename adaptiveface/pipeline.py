@@ -22,9 +22,10 @@ from .face_model import FaceModel
 from .frame import RgbdFrame
 from .landmarks import FeatureDetector
 from .neutral.capture import capture_actor
+from .neutral.colour import capture_colour_actor
 from .parameters import Parameters
 from .sensors import FrameSource
-from .tracking.tracker import FaceTracker
+from .tracking.colour_tracker import make_tracker
 from .tracking.types import TrackedFrame
 
 #: A face counts as found in a frame from this many valid features on.
@@ -96,7 +97,8 @@ def capture_from(
     """Capture the neutral face shown by ``source`` (paper, section 3).
 
     ``neutral_frames``: the leading frames in which a face is found; None: all frames, at most ``MAX_NEUTRAL_FRAMES`` of
-    them, spread evenly. ``model``: the embedded one by default. ``progress`` shows bars on stderr. Raises
+    them, spread evenly. From a source without depth (``colour_only``) comes the average head with the person's
+    proportions (``neutral/colour.py``). ``model``: the embedded one by default. ``progress`` shows bars on stderr. Raises
     :class:`TrackingError` when no face is found.
     """
     reader = FrameReader(source, detector)
@@ -114,6 +116,8 @@ def capture_from(
         raise reader.fail("no frame can be used")
     if not any(map(face_found, frames)):
         raise reader.fail(f"no face found in any of {len(source)} frames")
+    if getattr(source, "colour_only", False):
+        return capture_colour_actor(frames, model, parameters or Parameters())
     with one_blas_thread(), _capture_bar(progress) as report:
         return capture_actor(frames, model, parameters or Parameters(), report)
 
@@ -131,12 +135,14 @@ def track_source(
 
     ``keep_stages`` keeps v1, v2, v3 besides the final mesh; ``on_frame(tracked, frame)`` sees every frame once it is
     done; ``progress`` shows a bar on stderr. Broken frames are skipped and counted (``Result.skipped``, with
-    ``Result.reasons``). Raises :class:`TrackingError` when no frame can be used or the face is never found,
-    :class:`TrackingInterrupted` (with the result so far) on Ctrl-C.
+    ``Result.reasons``). A source that says ``colour_only`` is tracked by its features alone, degraded. Raises
+    :class:`TrackingError` when no frame can be used or the face is never found, :class:`TrackingInterrupted` (with the
+    result so far) on Ctrl-C.
     """
     parameters = parameters or Parameters()
-    reader, tracker = FrameReader(source, detector), FaceTracker(actor, parameters)
-    builder = ResultBuilder(actor, parameters, len(source), keep_stages)
+    colour_only = getattr(source, "colour_only", False)
+    reader, tracker = FrameReader(source, detector), make_tracker(actor, parameters, colour_only)
+    builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only)
     try:
         with one_blas_thread(), _bar(progress, total=len(source), desc="tracking", unit="frame") as bar:
             for index in range(len(source)):

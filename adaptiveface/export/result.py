@@ -40,7 +40,12 @@ _FIELDS = {
     "stage_names": Field(("S",), "U"),
     "parameters": Field((), "U"),
     "correctives": Field(("K", "N", 3), optional=True),
+    "colour_only": Field((), "b", optional=True),
 }
+
+
+#: How everything that people read calls a result that was tracked without depth.
+COLOUR_ONLY = "colour only: no depth, degraded"
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class Result:
     reasons (F,): why a frame is not tracked, "" where it is. A frame that is not tracked repeats mesh, pose and
     coefficients of the last tracked one (before the first one: of the first one; without any: the neutral, unmoved),
     has sample state UNTRACKED, and 0 for its distances. correctives (K, N, 3) or None: the corrective shapes as learned
-    at the end, orthonormal, zero outside the frontal region.
+    at the end, orthonormal, zero outside the frontal region. colour_only: tracked without depth, a degraded mode.
     """
 
     vertices: np.ndarray
@@ -85,6 +90,7 @@ class Result:
     v2: np.ndarray | None = None
     v3: np.ndarray | None = None
     correctives: np.ndarray | None = None
+    colour_only: bool = False
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -97,6 +103,8 @@ class Result:
             f"{len(self)} frames: {int(self.tracked.sum())} tracked, {lost} without a face, {int(self.skipped.sum())} "
             f"broken and skipped; learned from {learned}"
         ]
+        if self.colour_only:
+            lines.insert(0, f"{COLOUR_ONLY} (2D features alone; size and distance assumed, nothing learned)")
         broken = [reason for reason, skipped in zip(self.reasons, self.skipped, strict=True) if skipped]
         lines += [f"  skipped: {reason}" for reason in broken[:5]]
         lines += [f"  ... and {len(broken) - 5} more"] if len(broken) > 5 else []
@@ -131,6 +139,7 @@ class Result:
         for name in ("expression_names", "stage_names", "reasons"):
             data[name] = tuple(str(text) for text in data[name])
         data["parameters"] = str(data["parameters"])
+        data["colour_only"] = bool(data.get("colour_only", False))
         data.setdefault("skipped", np.zeros(n_frames, bool))
         for name in ("residual", "anchor_distance", "adaptive_distance"):
             data.setdefault(name, np.zeros(n_frames, np.float32))
@@ -144,8 +153,10 @@ class ResultBuilder:
     frames than ``n_frames`` make it grow, by half of what it holds.
     """
 
-    def __init__(self, actor: Actor, parameters: Parameters, n_frames: int, keep_stages: bool = False) -> None:
-        self.actor, self.parameters, self.done = actor, parameters, 0
+    def __init__(
+        self, actor: Actor, parameters: Parameters, n_frames: int, keep_stages: bool = False, colour_only: bool = False
+    ) -> None:
+        self.actor, self.parameters, self.done, self.colour_only = actor, parameters, 0, colour_only
         self._names = tuple(actor.expression_names)[: parameters.blendshapes.A]
         self._stages = ("v1", "v2", "v3") if keep_stages else ()
         self._reasons: list[str] = []
@@ -214,6 +225,7 @@ class ResultBuilder:
             stage_names=STAGE_NAMES,
             parameters=self.parameters.to_json(),
             correctives=None if correctives is None else self._on_whole_mesh(correctives),
+            colour_only=self.colour_only,
             **rows,
         )
 

@@ -44,7 +44,7 @@ def write_report(
     context = Context(record, source, actor, truth, evaluation, time_spans(record, evaluation))
     name = str(getattr(source, "name", "a performance"))
     body = [
-        sections.heading(name), scenes.preview(context), sections.tiles(context), sections.losses(context),
+        sections.heading(name, record.colour_only), scenes.preview(context), sections.tiles(context), sections.losses(context),
         scenes.tracked_frames(context), scenes.rig(context), sections.coefficients(context),
         sections.learning(context, _whole_mesh(correctives, actor)), sections.errors(context, note),
         sections.timings(context), sections.parameters(context), sections.footer(),

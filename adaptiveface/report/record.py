@@ -18,7 +18,8 @@ class RunRecord:
     index (F,) number in the source; vertices (F, N, 3) float32 final mesh v4 in the camera frame, mm; rigid (F, 4, 4);
     tracked (F,) bool; timestamps (F,) s; coefficients, coefficients_initial (F, A); corrective_updates (F,);
     sample_state (F,); stage_ms (F, S) with stage_names (S,); anchor_distance, adaptive_distance (F,) mm, NaN where
-    unknown; reasons (F,) why a frame is not tracked, "" where it is; parameters of the run.
+    unknown; reasons (F,) why a frame is not tracked, "" where it is; parameters of the run;
+    colour_only: tracked without depth.
     """
 
     index: np.ndarray
@@ -36,6 +37,7 @@ class RunRecord:
     adaptive_distance: np.ndarray
     reasons: tuple[str, ...]
     parameters: Parameters
+    colour_only: bool = False
 
     def __len__(self) -> int:
         return len(self.tracked)
@@ -69,6 +71,7 @@ class RunRecord:
             result.stage_ms, tuple(str(name) for name in result.stage_names),
             getattr(result, "anchor_distance", unknown), getattr(result, "adaptive_distance", unknown),
             tuple(map(str, reasons)) if reasons is not None else ("",) * count, parameters,
+            bool(getattr(result, "colour_only", False)),
         )  # fmt: skip
 
     @classmethod

@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import __version__
 from ..evaluation import FIRST, PERFORMANCE_NAMES, REPEAT
+from ..export.result import COLOUR_ONLY
 from ..parameters import Parameters, describe
 from . import charts, page, pictures
 from .context import Context
@@ -20,8 +21,14 @@ MEAN_ERROR_LIMIT = 2.0
 CORRECTIVE_SIZE = 5.0
 
 
-def heading(name: str) -> str:
+def heading(name: str, colour_only: bool = False) -> str:
     """Title, and what this is."""
+    if colour_only:
+        return (
+            f"<h1>{escape(name)}</h1><p><b>{COLOUR_ONLY}.</b> A facial performance tracked from a colour video by its 2D "
+            "features alone: the head's size and distance are assumed, what lies between the features is guessed from "
+            "the generic expressions, and nothing was learned.</p>"
+        )
     return (
         f'<h1>{escape(name)}</h1><p class="soft">A facial performance tracked with one depth camera: no training, the '
         "correctives learned on the fly (Li, Yu, Ye, Bregler 2013).</p>"

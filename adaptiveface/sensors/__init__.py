@@ -17,12 +17,13 @@ from ..synthetic.noise import DEPTH_SCALES
 from .catalogue import SensorInfo, list_sensors, open_sensor
 from .live import LiveFrame, LiveSensor
 from .recording import Recording, RecordingWriter
+from .video_file import VideoFile, is_video
 
 NOISES = tuple(DEPTH_SCALES)
 
 _POSSIBLE = (
     "possible sources: a recording folder (with intrinsic.json, depth/, color/), a Record3D file (.r3d), "
-    f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)})"
+    f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)}), a video (.mp4, .mov, .avi, .webm: colour only)"
 )
 
 
@@ -33,7 +34,8 @@ class FrameSource(Protocol):
     ``camera``: its intrinsics; ``name``: for titles and file names; ``len(source)`` frames, broken ones included;
     ``read(index)`` returns frame ``index`` or raises :class:`adaptiveface.errors.FrameError` for one that cannot be
     used. A source whose frames carry 2D features says so with ``has_features = True``; for any other source the
-    detector runs on the colour images.
+    detector runs on the colour images. A source without a depth camera says ``colour_only = True``: it is tracked in
+    the degraded mode of ``tracking/colour_tracker.py``, which nothing else switches on.
     """
 
     camera: Camera
@@ -47,7 +49,7 @@ class FrameSource(Protocol):
 
 
 def open_source(text: str) -> FrameSource:
-    """The source named by ``text``: a recording folder, an .r3d file, ``synthetic`` or ``synthetic:SEED[:NOISE]``.
+    """The source named by ``text``: a recording folder, an .r3d file, a video, ``synthetic[:SEED[:NOISE]]``.
 
     Raises :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
     """
@@ -61,6 +63,8 @@ def open_source(text: str) -> FrameSource:
         return R3dRecording(text)
     if text.lower().endswith((".db3", ".bag")) and Path(text).is_file():
         raise FileFormatError(f"{text}: plays from start to end only; first: adaptiveface convert {text} --out DIR")
+    if is_video(text):
+        return VideoFile(text)
     if Path(text).exists():
         raise FileFormatError(f"{text}: not a folder; {_POSSIBLE}")
     raise FileFormatError(f"{text}: no such recording; {_POSSIBLE}")

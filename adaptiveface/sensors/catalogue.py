@@ -53,18 +53,34 @@ def _record3d(identifier: str) -> LiveSensor:
     return LiveSensor(lambda: Record3DDriver(identifier))
 
 
-_KINDS = {"synthetic": _synthetic, "realsense": _realsense, "record3d": _record3d}
+def _webcam(options: str) -> LiveSensor:
+    from .webcam import WebcamDriver, WebcamOptions
+
+    parsed = WebcamOptions.parse(options)
+    return LiveSensor(lambda: WebcamDriver(parsed))
+
+
+_KINDS = {"synthetic": _synthetic, "realsense": _realsense, "record3d": _record3d, "webcam": _webcam}
 _REALSENSE_FILES = (".db3", ".bag")
 POSSIBLE = (
     "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
-    "or the path of a recording (folder, .r3d, .db3, .bag)"
+    "'webcam[:INDEX|http://...][,fov=DEGREES][,mirrored]' (colour only), "
+    "or the path of a recording (folder, .r3d, .db3, .bag; colour only: .mp4, .mov, .avi, .webm)"
 )
 
 
 def list_sensors() -> list[SensorInfo]:
     """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
     synthetic = SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")
-    return [synthetic, *_realsense_cameras(), *_phones()]
+    return [synthetic, *_realsense_cameras(), *_phones(), *_webcams()]
+
+
+def _webcams() -> list[SensorInfo]:
+    from .webcam import connected_webcams
+
+    note = "colour only: no depth, degraded"
+    found = [SensorInfo(f"webcam:{index}", f"{name} ({note})", state) for index, name, state in connected_webcams()]
+    return found or [SensorInfo("webcam", f"colour camera ({note})", "not connected")]
 
 
 def _realsense_cameras() -> list[SensorInfo]:

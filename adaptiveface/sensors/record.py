@@ -14,7 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import AdaptiveFaceError, EndOfRecording, FileFormatError, RecordingError
+from ..errors import AdaptiveFaceError, EndOfRecording, FileFormatError, RecordingError, SensorError
 from .live import LiveFrame, LiveSensor
 from .recording import RecordingWriter
 
@@ -126,6 +126,11 @@ def record_sensor(
     full disk, the sensor's :class:`SensorError`, :class:`FileFormatError` for a folder that holds a recording already;
     whatever was recorded until then stays.
     """
+    if sensor.colour_only:
+        raise SensorError(
+            f"{sensor.name}: no depth, and a recording is made of depth; record a video with any camera program, "
+            "adaptiveface track reads it"
+        )
     sensor.buffer(BACKLOG)
     first = sensor.read(timeout=5.0)
     depth_scale = min(max(sensor.depth_scale, 100.0), 100_000.0)

@@ -185,16 +185,17 @@ class RecordingWriter:
         self.close()
 
 
-def read_intrinsics(path: Path) -> tuple[Camera, float, float]:
-    """``intrinsic.json`` -> camera, frames per second, depth units per metre.
+def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camera, float, float]:
+    """``intrinsic.json`` -> camera, frames per second, depth units per metre (``depth_scale`` where it names none).
 
     Raises :class:`FileFormatError` naming the file and the value.
     """
     content = _read_json(path)
+    defaults = {"fps": 30.0} | ({} if depth_scale is None else {"depth_scale": depth_scale})
     values = {}
     for name in ("width", "height", "fps", "depth_scale"):
-        if name not in content and name == "fps":
-            content[name] = 30.0
+        if name not in content and name in defaults:
+            content[name] = defaults[name]
         values[name] = _number(path, name, content.get(name))
     if values["width"] != int(values["width"]) or values["height"] != int(values["height"]):
         raise FileFormatError(f"{path}: the image size {values['width']} x {values['height']} is not whole")

@@ -1,0 +1,76 @@
+"""OpenCV's VideoCapture, quiet and with the calibration that a colour camera without one is given."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ..camera import Camera
+from ..errors import FileFormatError
+from .recording import read_intrinsics
+
+#: Horizontal field of view of a camera that brings no calibration, degrees: laptops have 55 to 70.
+FIELD_OF_VIEW = 60.0
+#: Field of view that can be asked for, degrees.
+FIELD_OF_VIEW_RANGE = (10.0, 150.0)
+
+_level_lock, _quiet = threading.Lock(), 0
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """OpenCV and its FFmpeg say nothing on stderr: our own errors say what is wrong."""
+    global _quiet, _level
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when FFmpeg is first used
+    with _level_lock:  # the level is the process's: the first one in saves it, the last one out restores it
+        if _quiet == 0:
+            _level = cv2.utils.logging.getLogLevel()
+            cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        _quiet += 1
+    try:
+        yield
+    finally:
+        with _level_lock:
+            _quiet -= 1
+            if _quiet == 0:
+                cv2.utils.logging.setLogLevel(_level)
+
+
+def camera_of_view(width: int, height: int, field_of_view: float = FIELD_OF_VIEW) -> Camera:
+    """A camera of ``width`` x ``height`` px with square pixels that sees ``field_of_view`` degrees.
+
+    Across the longer side: a phone held upright has its sensor turned, not another lens.
+    """
+    focal = max(width, height) / 2 / math.tan(math.radians(field_of_view) / 2)
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: float) -> Camera:
+    """The camera of ``intrinsics`` (an intrinsic.json) where there is one, else :func:`camera_of_view`.
+
+    Raises :class:`FileFormatError` where it is malformed or of pictures of another size.
+    """
+    if not intrinsics.is_file():
+        return camera_of_view(width, height, field_of_view)
+    camera = read_intrinsics(intrinsics, depth_scale=1000.0)[0]
+    if (camera.width, camera.height) != (width, height):
+        raise FileFormatError(
+            f"{intrinsics}: is for pictures of {camera.width} x {camera.height}, the video's have {width} x {height}; "
+            "correct it or move the video to a folder of its own"
+        )
+    return camera
+
+
+def as_rgb(picture: np.ndarray, mirrored: bool = False) -> np.ndarray:
+    """(H, W, 3) uint8 RGB from OpenCV's BGR or grey picture; ``mirrored``: flipped left to right."""
+    if picture.ndim == 2:
+        picture = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+    picture = picture[:, ::-1, 2::-1] if mirrored else picture[:, :, 2::-1]
+    return np.ascontiguousarray(picture, np.uint8)

@@ -1,0 +1,202 @@
+"""A colour camera through OpenCV: ``webcam[:INDEX]``, or ``webcam:http://...`` for the stream of a network camera.
+
+Colour only: depth is 0 everywhere, and tracking is the degraded mode of ``tracking/colour_tracker.py``. What cannot be
+asked of such a camera is assumed: its field of view, and the time of a picture, which is that of its arrival.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+
+from ..errors import ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from .capture_device import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, as_rgb, camera_of_view, quiet
+from .live import RawFrame
+
+#: Where Linux lists its cameras, and what it tells about them.
+DEVICES, ABOUT = Path("/dev"), Path("/sys/class/video4linux")
+#: Failed reads in a row that mean that the camera is gone: a single damaged picture is none.
+MOST_FAILURES, RETRY_SECONDS = 5, 0.02
+#: Most cameras tried by index where the system has no list of them.
+MOST_INDICES = 4
+#: Longest wait for a network camera, ms: to answer at all, and for a picture.
+OPEN_MS, READ_MS = 5000, 2000
+
+
+@dataclass(frozen=True)
+class WebcamOptions:
+    """``device``: a number or the address of a stream; ``field_of_view`` degrees across the longer side; ``mirrored``."""
+
+    device: int | str = 0
+    field_of_view: float = FIELD_OF_VIEW
+    mirrored: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> WebcamOptions:
+        """From ``[INDEX|http://...][,fov=DEGREES][,mirrored]``; raises :class:`ParameterError`."""
+        device, *settings = text.split(",") if text else [""]
+        field_of_view, mirrored = FIELD_OF_VIEW, False
+        for setting in settings:
+            name, _, value = setting.partition("=")
+            if name == "fov":
+                field_of_view = _degrees(text, value)
+            elif setting == "mirrored":
+                mirrored = True
+            else:
+                raise ParameterError(f"webcam:{text}: {setting!r} is not a setting; possible: fov=DEGREES, mirrored")
+        if device.startswith(("http://", "https://", "rtsp://")):
+            return cls(device, field_of_view, mirrored)
+        if device and not (device.isascii() and device.isdecimal() and len(device) <= 3):
+            raise ParameterError(f"webcam:{text}: {device!r} is neither the number of a camera nor an http address")
+        return cls(int(device or 0), field_of_view, mirrored)
+
+
+def _label(device: int | str) -> str:
+    """The number, or the host of an address: it may hold a password."""
+    return str(device) if isinstance(device, int) else urlsplit(device).hostname or "stream"
+
+
+def _degrees(text: str, value: str) -> float:
+    low, high = FIELD_OF_VIEW_RANGE
+    try:
+        degrees = float(value)
+    except ValueError:
+        degrees = float("nan")
+    if not low <= degrees <= high:
+        raise ParameterError(f"webcam:{text}: the field of view {value!r} is not between {low:g} and {high:g} degrees")
+    return degrees
+
+
+class WebcamDriver:
+    """One colour camera, asked for ``size`` (width, height) px at 30 frames a second; it may answer with another."""
+
+    live, has_features, colour_only, depth_scale = True, False, True, 10_000.0
+
+    def __init__(self, options: WebcamOptions = WebcamOptions(), size: tuple[int, int] = (640, 480)) -> None:
+        self.options, self.size, self.fps = options, size, 30.0
+        self.name = f"webcam {_label(options.device)}, colour only"
+        self._capture: cv2.VideoCapture | None = None
+
+    def open(self) -> None:
+        """Start the camera; raises :class:`SensorNotFoundError` or :class:`SensorError` (busy, not allowed)."""
+        device = self.options.device
+        if isinstance(device, int) and sys.platform == "linux":
+            _check_linux(self.name, device)
+        with quiet():
+            self._capture = _open(device)
+            if not self._capture.isOpened():
+                raise _refused(self.name, device)
+            if isinstance(device, int):
+                self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.size[0])
+                self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self.size[1])
+                self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture, where the system allows it
+            rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.fps = rate if 1.0 <= rate <= 240.0 else 30.0
+        self._count, self._failures = 0, 0
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The next picture. OpenCV's wait cannot be shortened: it lasts as long as the camera takes for one."""
+        with quiet():
+            found, picture = self._capture.read()
+        if not found or picture is None:
+            self._failures += 1
+            if self._failures >= MOST_FAILURES:
+                raise SensorDisconnectedError(f"{self.name}: sends no more pictures; is it still plugged in?")
+            time.sleep(min(RETRY_SECONDS, timeout))
+            return None
+        self._failures = 0
+        self._count += 1
+        height, width = picture.shape[:2]
+        camera = camera_of_view(width, height, self.options.field_of_view)
+        depth = np.zeros((height, width), np.float32)
+        return RawFrame(depth, camera, as_rgb(picture, self.options.mirrored), self._count, time.perf_counter())
+
+    def close(self) -> None:
+        """Stop the camera; its light goes out."""
+        capture, self._capture = self._capture, None
+        if capture is not None:
+            with quiet():
+                capture.release()
+
+
+def connected_webcams() -> list[tuple[str, str, str]]:
+    """(index, name, state) of every colour camera; state is "ready" or why it cannot be opened.
+
+    Linux says so without starting one. Elsewhere each is opened for a moment, up to the first index that fails.
+    """
+    if sys.platform == "linux":
+        return [(str(i), _linux_name(i), _linux_state(i)) for i in linux_cameras()]
+    found = []
+    for index in range(MOST_INDICES):
+        with quiet():
+            capture = _open(index)
+            opened = capture.isOpened()
+            capture.release()
+        if not opened:
+            break
+        found.append((str(index), f"camera {index}", "ready"))
+    return found
+
+
+def linux_cameras(devices: Path | None = None, about: Path | None = None) -> list[int]:
+    """Numbers of the /dev/video* nodes that are the first of a camera; the others carry its metadata."""
+    devices, about = devices or DEVICES, about or ABOUT
+    numbers = sorted(int(node.name[5:]) for node in devices.glob("video*") if node.name[5:].isdecimal())
+    return [number for number in numbers if _text(about / f"video{number}" / "index") in ("", "0")]
+
+
+def _linux_name(index: int) -> str:
+    return _text(ABOUT / f"video{index}" / "name") or f"camera {index}"
+
+
+def _linux_state(index: int) -> str:
+    node = DEVICES / f"video{index}"
+    return "ready" if os.access(node, os.R_OK | os.W_OK) else _not_allowed(node)
+
+
+def _not_allowed(node: Path) -> str:
+    return f"no permission to open {node}: sudo usermod -aG video $USER, then log in again"
+
+
+def _check_linux(name: str, index: int) -> None:
+    node = DEVICES / f"video{index}"
+    if not node.exists():
+        cameras = ", ".join(f"webcam:{i}" for i in linux_cameras()) or "none"
+        raise SensorNotFoundError(f"{name}: there is no {node} (found: {cameras}); plug the camera in")
+    if not os.access(node, os.R_OK | os.W_OK):
+        raise SensorError(f"{name}: {_not_allowed(node)}")
+
+
+def _refused(name: str, device: int | str) -> SensorError:
+    if isinstance(device, str):
+        return SensorNotFoundError(f"{name}: no video stream there; open the address in a browser to see whether it runs")
+    if sys.platform == "linux":
+        return SensorError(f"{name}: busy or not a camera; close other programs that use it")
+    allowed = {
+        "darwin": "allow the terminal in System Settings, Privacy & Security, Camera",
+        "win32": "allow desktop apps in Settings, Privacy, Camera",
+    }.get(sys.platform, "check its permissions")
+    return SensorNotFoundError(f"{name}: not connected, busy in another program, or not allowed ({allowed})")
+
+
+def _open(device: int | str) -> cv2.VideoCapture:
+    if isinstance(device, str):
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, READ_MS]
+        return cv2.VideoCapture(device, cv2.CAP_FFMPEG, limits)
+    # Not whatever OpenCV finds: its depth-camera backend would be asked for an index, too.
+    backend = {"linux": cv2.CAP_V4L2, "win32": cv2.CAP_MSMF, "darwin": cv2.CAP_AVFOUNDATION}
+    return cv2.VideoCapture(device, backend.get(sys.platform, cv2.CAP_ANY))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
