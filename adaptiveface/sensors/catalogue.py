@@ -60,19 +60,43 @@ def _webcam(options: str) -> LiveSensor:
     return LiveSensor(lambda: WebcamDriver(parsed))
 
 
-_KINDS = {"synthetic": _synthetic, "realsense": _realsense, "record3d": _record3d, "webcam": _webcam}
+def _azure(argument: str) -> LiveSensor:
+    if argument.isascii() and argument.isdecimal() and len(argument) < 4 or not argument:
+        from .azure import AzureDriver
+
+        return LiveSensor(lambda: AzureDriver(int(argument or 0)))
+    if not Path(argument).is_file():
+        raise SensorError(f"azure:{argument}: neither the number of a camera nor a recording (.mkv)")
+    return _azure_file(Path(argument))
+
+
+def _azure_file(path: Path) -> LiveSensor:
+    from .azure import AzureDriver
+
+    return LiveSensor(lambda: AzureDriver(path=path), reconnect=False)
+
+
+_KINDS = {
+    "synthetic": _synthetic,
+    "realsense": _realsense,
+    "record3d": _record3d,
+    "azure": _azure,
+    "webcam": _webcam,
+}
 _REALSENSE_FILES = (".db3", ".bag")
+_AZURE_FILES = (".mkv",)
 POSSIBLE = (
     "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
+    "'azure[:INDEX]', "
     "'webcam[:INDEX|http://...][,fov=DEGREES][,mirrored]' (colour only), "
-    "or the path of a recording (folder, .r3d, .db3, .bag; colour only: .mp4, .mov, .avi, .webm)"
+    "or the path of a recording (folder, .r3d, .db3, .bag, .mkv; colour only: .mp4, .mov, .avi, .webm)"
 )
 
 
 def list_sensors() -> list[SensorInfo]:
     """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
     synthetic = SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")
-    return [synthetic, *_realsense_cameras(), *_phones(), *_webcams()]
+    return [synthetic, *_realsense_cameras(), *_phones(), *_azure_cameras(), *_webcams()]
 
 
 def _webcams() -> list[SensorInfo]:
@@ -94,6 +118,12 @@ def _phones() -> list[SensorInfo]:
 
     description = "iPhone with the app Record3D, by USB"
     return _connected("record3d", description, lambda: [(phone, description) for phone in connected_phones()])
+
+
+def _azure_cameras() -> list[SensorInfo]:
+    from .azure import connected_cameras
+
+    return _connected("azure", "Azure Kinect", connected_cameras)
 
 
 def _connected(kind: str, description: str, find: Callable[[], list[tuple[str, str]]]) -> list[SensorInfo]:
@@ -134,6 +164,8 @@ def _open_path(path: Path) -> LiveSensor:
         from .realsense import RealSenseDriver
 
         return LiveSensor(lambda: RealSenseDriver(path=path), reconnect=False)
+    if path.suffix.lower() in _AZURE_FILES and path.is_file():
+        return _azure_file(path)
     from . import open_source
 
     source = open_source(str(path))

@@ -1,0 +1,90 @@
+"""Depth and picture of two cameras with lenses: depth without distortion, the picture aligned to it.
+
+For libraries that hand over both as taken. Depth is resampled between neighbours of one surface and taken from the
+nearest pixel at edges, so that no measurement arises between foreground and background; a lens without distortion
+leaves every value as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..camera import Camera
+
+#: Depth that differs by more than this within 3 x 3 pixels is not one surface, mm.
+EDGE_MM = 10.0
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Calibration of one camera: ``width``, ``height`` and ``matrix`` (3, 3) in pixels.
+
+    ``distortion``: (8,) k1, k2, p1, p2, k3, k4, k5, k6 of the rational model, as OpenCV orders them.
+    """
+
+    width: int
+    height: int
+    matrix: np.ndarray
+    distortion: np.ndarray
+
+
+class Registration:
+    """Takes depth and pictures to one pinhole ``camera``, that of the depth without its distortion.
+
+    ``rotation`` (3, 3) and ``translation`` (3,) mm take points from the depth camera to the colour camera; ``colour``:
+    None without a picture. Raises :class:`adaptiveface.errors.FileFormatError` for calibrations that no camera has.
+    """
+
+    def __init__(self, depth: Lens, colour: Lens | None = None, rotation=None, translation=(0.0, 0.0, 0.0)) -> None:
+        k = np.asarray(depth.matrix, float)
+        self.camera = Camera(depth.width, depth.height, *map(float, (k[0, 0], k[1, 1], k[0, 2], k[1, 2])))
+        self._maps = _undistortion(depth)
+        self._bent = None
+        if colour is not None:
+            onto = np.asarray(colour.matrix, float)
+            turned = onto @ (np.eye(3) if rotation is None else np.asarray(rotation, float))
+            self._rays = np.moveaxis(self.camera.rays() @ turned.T, -1, 0).astype(np.float32)
+            self._offset = (onto @ np.asarray(translation, float).reshape(3)).astype(np.float32)
+            self._bent = _undistortion(colour)
+        self._has_colour = colour is not None
+
+    def depth(self, raw: np.ndarray) -> np.ndarray:
+        """(H, W) float32 mm of ``raw`` (H, W) mm, 0 = no measurement."""
+        raw = np.asarray(raw, np.float32)
+        if self._maps is None:
+            return raw
+        around = np.ones((3, 3), np.uint8)
+        smooth = (cv2.dilate(raw, around) - cv2.erode(raw, around) < EDGE_MM).astype(np.uint8)
+        smooth[[0, -1]] = smooth[:, [0, -1]] = 0  # beyond the border there is nothing
+        nearest, between = (cv2.remap(raw, *self._maps, how) for how in (cv2.INTER_NEAREST, cv2.INTER_LINEAR))
+        return np.where(cv2.remap(smooth, *self._maps, cv2.INTER_NEAREST) > 0, between, nearest)
+
+    def colour(self, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """(H, W, 3) uint8: what ``picture`` (h, w, 3) of the colour camera shows at each pixel of ``depth``.
+
+        ``depth``: (H, W) mm as :meth:`depth` returned it. Black where it has no measurement and outside the
+        picture.
+        """
+        if not self._has_colour:
+            return np.zeros((*depth.shape, 3), np.uint8)
+        measured = depth > 0
+        z = np.where(measured, depth, 1.0).astype(np.float32)
+        x, y, ahead = (ray * z + offset for ray, offset in zip(self._rays, self._offset, strict=True))
+        measured &= ahead > 0
+        ahead[~measured] = 1.0
+        x, y = x / ahead, y / ahead
+        x[~measured] = -1e4
+        if self._bent is not None:
+            x, y = (cv2.remap(m, x, y, cv2.INTER_LINEAR, borderValue=-1e4) for m in self._bent)
+        return cv2.remap(picture, x, y, cv2.INTER_LINEAR)
+
+
+def _undistortion(lens: Lens) -> tuple[np.ndarray, np.ndarray] | None:
+    """Where each pixel of a pinhole camera lies in the lens's image, (H, W) float32 u and v; None: at its own place."""
+    if not np.any(lens.distortion):
+        return None
+    size, k = (lens.width, lens.height), np.asarray(lens.matrix, float)
+    return cv2.initUndistortRectifyMap(k, np.asarray(lens.distortion, float), None, k, size, cv2.CV_32FC1)
