@@ -77,7 +77,7 @@ def main() -> None:
     """Start JupyterLab on a fresh copy, and photograph the chosen notebooks."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--chromium", default="/usr/bin/chromium")
-    parser.add_argument("numbers", nargs="*", help="e.g. 00 05; default: all")
+    parser.add_argument("numbers", nargs="*", help="e.g. 00 05 live; default: all")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         copy_notebooks(Path(folder))
@@ -90,12 +90,13 @@ def main() -> None:
         try:
             wait_for(f"http://127.0.0.1:{port}/api")
             for path in sorted(Path(folder).glob("*.ipynb")):
-                if args.numbers and path.name[:2] not in args.numbers:
+                number = path.name.partition("_")[0]
+                if args.numbers and number not in args.numbers:
                     continue
                 page = browser.new_page(viewport={"width": 1280, "height": 1150})
                 run_all(page, f"http://127.0.0.1:{port}/lab/tree/{path.name}?reset&token={token}")
                 failed = page.locator(FAILED).count()
-                photograph(page, PICTURES / f"notebook_{path.name[:2]}.jpg")
+                photograph(page, PICTURES / f"notebook_{number}.jpg")
                 print(path.name, "a cell raised" if failed else "fine", flush=True)
                 page.evaluate("() => window.jupyterapp.shell.currentWidget.sessionContext.shutdown()")
                 page.close()

@@ -17,10 +17,11 @@ except ImportError:
         'the notebooks need more packages: python -m pip install "adaptiveface[notebooks]"'
     ) from None
 
-from .charts import GridChart, LiveChart
+from .charts import BarChart, GridChart, LiveChart
 from .face_view import FaceView, colour_bar
 from .headless import prepare_rendering
 from .kernel import on_main_thread, running_tasks, strict
+from .live_view import LiveView
 from .measures import Measures, depth_distance, plain
 from .parameter_panel import ParameterPanel
 from .pictures import CameraView
@@ -34,7 +35,7 @@ from .workbench import SeriesCache, Workbench, error_chart, figure_11
 threadpool_limits(limits=1, user_api="blas")
 
 __all__ = [
-    "CameraView", "FaceView", "GridChart", "LiveChart", "Measures", "ParameterPanel",
+    "BarChart", "CameraView", "FaceView", "GridChart", "LiveChart", "LiveView", "Measures", "ParameterPanel",
     "Parameters", "Player", "Replay", "SeriesCache",
     "Session", "Workbench", "colour_bar", "depth_distance", "error_chart", "fast", "figure_11", "load_session",
     "Turntable", "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict",

@@ -72,6 +72,37 @@ class LiveChart:
         self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
 
 
+class BarChart:
+    """Horizontal bars with fixed axes, updated in place: a number for each name. ``widget`` is what to display."""
+
+    def __init__(
+        self, names: Sequence[str], x: tuple[float, float], xlabel: str, title: str, size: tuple[int, int] = (330, 460)
+    ) -> None:
+        figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white", layout="constrained")
+        self._canvas, self._axis = FigureCanvasAgg(figure), figure.add_subplot()
+        places = np.arange(len(names))
+        self._bars = self._axis.barh(places, np.zeros(len(names)), 0.7, color=COLOURS[0], animated=True)
+        self._axis.set(xlim=x, ylim=(len(names) - 0.5, -0.5))
+        self._axis.set_xlabel(xlabel, fontsize=9)
+        self._axis.set_yticks(places, names, fontsize=8)
+        self._axis.tick_params(axis="x", labelsize=8)
+        self._axis.set_title(title, fontsize=9)
+        self._axis.grid(axis="x", alpha=0.3)
+        self._canvas.draw()
+        self._background = self._canvas.copy_from_bbox(figure.bbox)
+        self._image = image_widget(*size, format="png", name="adaptiveface-chart")
+        self.widget = widgets.VBox([self._image])
+        self.update(np.zeros(len(names)))
+
+    def update(self, values: Sequence[float]) -> None:
+        """The bars' lengths; beyond the axis they end at its edge."""
+        self._canvas.restore_region(self._background)
+        for bar, value in zip(self._bars, values, strict=True):
+            bar.set_width(value)
+            self._axis.draw_artist(bar)
+        self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
+
+
 class GridChart:
     """A table of numbers as a heat map that fills cell by cell (parameter sweeps)."""
 

@@ -61,7 +61,7 @@ class FaceView:
         self.plotter.disable_anti_aliasing()
         if len(titles) > 1:
             self.plotter.link_views()
-        self._centre = np.asarray(vertices, float).mean(axis=0) if centre is None else np.asarray(centre, float)
+        self.centre = np.asarray(vertices, float).mean(axis=0) if centre is None else np.asarray(centre, float)
         self._image = Turntable(width=size[0], height=size[1], name="adaptiveface-face")
         self._moving = self._closed = False
         self._make_widget(label)
@@ -131,7 +131,7 @@ class FaceView:
         self._away = away
         for renderer in self.plotter.renderers:
             camera = renderer.camera
-            camera.focal_point, camera.position, camera.up = self._centre, self._centre + 700.0 * away, (0.0, 1.0, 0.0)
+            camera.focal_point, camera.position, camera.up = self.centre, self.centre + 700.0 * away, (0.0, 1.0, 0.0)
             camera.view_angle = float(np.degrees(2 * np.arctan(self._radius / 700.0 / zoom)))
             camera.clipping_range = (100.0, 2000.0)
         self.refresh()

@@ -103,8 +103,8 @@ def _notebooks() -> list[Path]:
 
 
 def _picture(docs: Path, name: str) -> Path:
-    """Screenshot of the notebook whose name starts with its number."""
-    return docs / "pictures" / f"notebook_{name[:2]}.jpg"
+    """Screenshot of the notebook whose name starts with its number (or "live")."""
+    return docs / "pictures" / f"notebook_{name.split('_')[0]}.jpg"
 
 
 def notebook_page(path: Path, docs: Path) -> str:
@@ -132,7 +132,7 @@ def notebooks_index(docs: Path) -> str:
         for name in chosen:
             picture = _picture(docs, name)
             if "/" not in name and picture.exists():
-                lines += [f"![Notebook {name[:2]} in JupyterLab]({picture.name})", ""]
+                lines += [f"![Notebook {name.split('_')[0]} in JupyterLab]({picture.name})", ""]
     return "\n".join(lines)
 
 

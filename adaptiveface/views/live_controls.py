@@ -1,0 +1,117 @@
+"""The live view's buttons, choices and texts, and how they lie on the page; what they do is in live_view.py."""
+
+from __future__ import annotations
+
+import html
+
+import ipywidgets as widgets
+
+from ..live.guided import STEPS
+from ..retargeting import BUILT_IN
+from ..sensors.catalogue import list_sensors
+from .parameter_panel import ParameterPanel
+
+#: The tracker's stages act on the next frame, the neutral's on the next scan.
+STAGES = ("laplacian", "adaptive_pca", "blendshapes", "kalman", "rigid", "depth", "fusion", "fit", "shrink_wrap")
+_ROW = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
+_NARROW = {"description_width": "70px"}
+
+
+def alert(text: str) -> str:
+    """An error as HTML; "" for none."""
+    if not text:
+        return ""
+    return f"<div role='alert' style='color:#b3261e;padding:4px'><b>{html.escape(text)}</b></div>"
+
+
+def coverage_bars(coverage: dict[str, float], step: str) -> str:
+    """How far each direction of the scan has come, the present one in bold."""
+    cells = []
+    for name in STEPS:
+        share = coverage.get(name, 0.0)
+        weight = "bold" if name == step else "normal"
+        mark = "&#10003;" if share >= 1 else f"{100 * share:.0f} %"
+        cells.append(
+            f"<td style='padding:2px 8px;font-weight:{weight}'>{name}<br>"
+            f"<progress max='1' value='{share:.2f}' style='width:70px'></progress> {mark}</td>"
+        )
+    return f"<table class='adaptiveface-coverage'><tr>{''.join(cells)}</tr></table>"
+
+
+def _button(text: str, icon: str, tooltip: str, name: str, toggle: bool = False, width: str = "150px"):
+    kind = widgets.ToggleButton if toggle else widgets.Button
+    out = kind(description=text, icon=icon, tooltip=tooltip, layout=widgets.Layout(width=width))
+    out.add_class(f"adaptiveface-{name}")
+    return out
+
+
+class LiveControls:
+    """Widgets by name; ``widget`` holds them all around the boxes ``pictures`` and ``curves``."""
+
+    def __init__(self, on_parameters, parameters=None, sensor: str | None = None, character: str | None = None) -> None:
+        self.sensor = widgets.Dropdown(
+            options=self._sensors(sensor), description="sensor", style=_NARROW, layout=widgets.Layout(width="460px")
+        )
+        self.sensor.value = sensor or self.sensor.options[0][1]
+        characters = [("no character", ""), *((name, name) for name in BUILT_IN)]
+        if character and character not in BUILT_IN:
+            characters.append((character, character))
+        self.character = widgets.Dropdown(
+            options=characters, value=character or "", description="character", style=_NARROW,
+            layout=widgets.Layout(width="210px"),
+        )  # fmt: skip
+        self.start = _button("start", "play", "open the chosen sensor", "start", width="90px")
+        self.stop = _button("stop", "stop", "close the sensor and end every thread", "stop", width="90px")
+        self.status, self.trouble, self.figures = widgets.HTML(), widgets.HTML(), widgets.HTML()
+        self.status.add_class("adaptiveface-live-status")
+        self.figures.add_class("adaptiveface-live-figures")
+        self.trouble.add_class("adaptiveface-live-trouble")
+        self._make_buttons()
+        self.panel = ParameterPanel(STAGES, on_parameters, parameters)
+        self.pictures, self.curves = widgets.HBox([], layout=_ROW), widgets.VBox([])
+        self._lay_out()
+
+    def _sensors(self, given: str | None) -> list[tuple[str, str]]:
+        known = list_sensors()
+        self.states = {info.name: info.state for info in known}
+        out = []
+        for info in known:
+            state = info.state if len(info.state) < 30 else "not available"
+            out.append((f"{info.name}: {info.description} ({state})", info.name))
+        if given and given not in self.states:
+            out.insert(0, (given, given))
+        return out
+
+    def _make_buttons(self) -> None:
+        self.progress = widgets.FloatProgress(0, min=0, max=1, layout=widgets.Layout(width="360px"))
+        self.coverage = widgets.HTML()
+        self.enough = _button("enough", "check", "build the head from the frames so far", "enough", width="100px")
+        self.relearn = _button("relearn neutral", "user", "scan the neutral face again", "relearn")
+        self.freeze = _button("freeze learning", "pause", "keep the correctives as they are", "freeze", toggle=True)
+        self.reset = _button("reset correctives", "trash", "forget every learned corrective", "reset")
+        self.record = _button("record", "circle", "write the frames to the folder", "record", toggle=True, width="100px")
+        self.folder = widgets.Text("", placeholder="folder (named by date and time)", layout=widgets.Layout(width="260px"))
+        self.save = _button("save actor", "download", "write the head to the file", "save", width="110px")
+        self.file = widgets.Text("actor.npz", layout=widgets.Layout(width="180px"))
+
+    def _lay_out(self) -> None:
+        self.scan = widgets.VBox(
+            [widgets.HBox([self.progress, self.enough], layout=_ROW), self.coverage],
+        )
+        first = widgets.HBox([self.relearn, self.freeze, self.reset], layout=_ROW)
+        second = widgets.HBox([self.record, self.folder, self.save, self.file], layout=_ROW)
+        self.actions = widgets.VBox([first, second])
+        top = widgets.HBox([self.sensor, self.character, self.start, self.stop], layout=_ROW)
+        self.widget = widgets.VBox(
+            [top, self.status, self.trouble, self.scan, self.pictures, self.figures, self.actions, self.panel.widget,
+             self.curves]
+        )  # fmt: skip
+        self.widget.add_class("adaptiveface-live-view")
+
+    def show(self, scanning: bool, tracking: bool, running: bool) -> None:
+        """Only what can be used now."""
+        self.scan.layout.display = "flex" if scanning else "none"
+        self.enough.disabled = not scanning
+        for button in (self.relearn, self.freeze, self.reset, self.record, self.save):
+            button.disabled = not tracking
+        self.start.disabled, self.stop.disabled, self.sensor.disabled = running, not running, running

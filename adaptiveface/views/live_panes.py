@@ -1,0 +1,176 @@
+"""The pictures of the live view: input, tracked mesh, character, curves, bars. Each draws what it is given, at once."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import ipywidgets as widgets
+import numpy as np
+
+from ..actor import Actor
+from ..face_model import embedded_face_model
+from ..live.session import LiveResult
+from ..mesh import surface_points, transform_points, vertex_normals
+from ..retargeting.arkit import arkit_weights
+from ..retargeting.character import load_character
+from ..retargeting.portrait import FACING, portrait
+from ..tracking.types import STAGE_NAMES
+from .charts import BarChart, LiveChart
+from .face_view import FaceView
+from .measures import depth_distance
+from .pictures import CameraView, encode, image_widget
+
+#: What the heat map can show, and the one fixed range of each, mm.
+ADDED, TO_DEPTH, PLAIN = "v4 - v1: what deformation and learning add", "distance to the depth map", "none"
+HEAT_LIMITS = (0.0, 3.0)
+#: Frames that the curves reach back.
+HISTORY = 300
+
+
+class MeshPane:
+    """The tracked mesh v4 with a heat map, turned as the head is; before that, how far the neutral scan has come."""
+
+    def __init__(self, size: tuple[int, int] = (360, 400)) -> None:
+        self._size, self._view, self._actor = size, None, None
+        self.heat = widgets.Dropdown(
+            options=[ADDED, TO_DEPTH, PLAIN], description="colours", layout=widgets.Layout(width="360px"),
+            style={"description_width": "60px"},
+        )  # fmt: skip
+        self.follow = widgets.Checkbox(True, description="turn with the head", indent=False)
+        self.widget = widgets.VBox([])
+
+    def show_scan(self, coverage: np.ndarray, pose: np.ndarray | None) -> None:
+        """The average head, coloured by the share (V,) of the views that depth still has to give."""
+        model = embedded_face_model()
+        if self._actor is not model:
+            self._open(model, model.mean, "seen by depth", (0.0, 1.0), "share of the views wanted (1: enough)", False)
+        self._draw(model.mean, coverage, pose)
+
+    def show(self, actor: Actor, result: LiveResult) -> None:
+        """A tracked frame; a frame that is not tracked leaves the last picture."""
+        if self._actor is not actor:
+            self._open(actor, actor.neutral, "tracked mesh v4", HEAT_LIMITS, "mm", True)
+        tracked = result.tracked
+        if tracked.tracked:
+            self._draw(tracked.v4, self._heat(actor, result), tracked.rigid)
+
+    def _heat(self, actor: Actor, result: LiveResult) -> np.ndarray | None:
+        tracked = result.tracked
+        if self.heat.value == PLAIN:
+            return None
+        if self.heat.value == ADDED:
+            return np.where(actor.frontal, np.linalg.norm(tracked.v4 - tracked.v1, axis=1), np.nan)
+        vertices = tracked.in_camera(tracked.v4)
+        towards = -np.einsum("nd,nd->n", vertex_normals(vertices, actor.triangles), vertices)
+        seen = actor.frontal & actor.depth_valid & (towards > 0.2 * np.linalg.norm(vertices, axis=1))
+        return np.where(seen, depth_distance(result.frame, vertices), np.nan)
+
+    def _draw(self, vertices: np.ndarray, heat: np.ndarray | None, pose: np.ndarray | None) -> None:
+        if self.follow.value and pose is not None:
+            centre = self._view.centre
+            vertices = (vertices - centre) @ (FACING @ pose[:3, :3]).T + centre
+        self._view.show(0, vertices, heat)
+        self._view.refresh()
+
+    def _open(self, owner, vertices: np.ndarray, title: str, limits, label: str, choices: bool) -> None:
+        self.close()
+        centre = vertices[owner.frontal].mean(axis=0)
+        self._view = FaceView(
+            vertices, owner.triangles, (title,), limits=limits, label=label, pane=self._size, centre=centre
+        )
+        self._actor = owner
+        self.widget.children = [self._view.widget, *([self.heat] if choices else []), self.follow]
+
+    def close(self) -> None:
+        """Free the renderer; the last picture stays."""
+        if self._view is not None:
+            self._view.close()
+            self._view = self._actor = None
+
+
+class InputPane:
+    """What the sensor sees, with the 2D features and the model over it."""
+
+    def __init__(self, size: tuple[int, int] = (340, 400)) -> None:
+        self.camera = CameraView(size, "input: features (yellow), model (blue)")
+        self.widget = self.camera.widget
+
+    def show_scan(self, frame) -> None:
+        """A frame of the neutral scan."""
+        self.camera.show(frame)
+
+    def show(self, actor: Actor, result: LiveResult) -> None:
+        """A tracked frame."""
+        tracked = result.tracked
+        if not tracked.tracked:
+            self.camera.show(result.frame)
+            return
+        points = transform_points(tracked.rigid, tracked.v4[actor.frontal][::6])
+        places = surface_points(tracked.v4, actor.feature_triangles, actor.feature_weights)
+        self.camera.show(result.frame, points, transform_points(tracked.rigid, places))
+
+
+class CharacterPane:
+    """A character that follows the re-solved coefficients (section 6)."""
+
+    def __init__(self, name: str, size: int = 300) -> None:
+        self.character, self._size = load_character(name), size
+        self._table, self._names = None, None
+        self._image = image_widget(size, size, name="adaptiveface-character")
+        self.widget = widgets.VBox([widgets.HTML(f"<b>{self.character.name}</b>"), self._image])
+
+    def show(self, actor: Actor, result: LiveResult) -> None:
+        """A tracked frame."""
+        tracked = result.tracked
+        if tracked.tracked:
+            names = actor.expression_names[: len(tracked.coefficients)]
+            if names != self._names:
+                self._table, self._names = arkit_weights(names), names
+            shape = self.character.shape(self.character.weights(self._table.curves(tracked.coefficients[None]))[0])
+            picture = portrait(self.character, shape, self._size, tracked.rigid[:3, :3], rays=1)
+            self._image.value = encode(picture)
+
+
+class CurvesPane:
+    """Figure 11 over the last frames, the coefficients, and the milliseconds of every stage."""
+
+    def __init__(self) -> None:
+        self._anchor, self._adaptive = deque(maxlen=HISTORY), deque(maxlen=HISTORY)
+        self.curves = LiveChart(
+            ("to anchor space", "to adaptive space"), (-HISTORY, 0), (0, 1.5), "frames ago", "mean distance, mm",
+            "figure 11: distance of v4", size=(440, 230),
+        )  # fmt: skip
+        self.stages = BarChart([*STAGE_NAMES, "2D features"], (0, 20), "ms", "time per frame", size=(440, 230))
+        self.coefficients: BarChart | None = None
+        self._names: tuple[str, ...] = ()
+        self._box = widgets.VBox([])
+        self.widget = widgets.HBox(
+            [widgets.VBox([self.curves.widget, self.stages.widget]), self._box],
+            layout=widgets.Layout(flex_flow="row wrap"),
+        )
+
+    def add(self, result: LiveResult) -> None:
+        """Take note of a result for the curves."""
+        tracked = result.tracked
+        self._anchor.append(tracked.anchor_distance if tracked.tracked else np.nan)
+        self._adaptive.append(tracked.adaptive_distance if tracked.tracked else np.nan)
+
+    def clear(self) -> None:
+        """Forget the curves: another head."""
+        self._anchor.clear()
+        self._adaptive.clear()
+
+    def draw(self, actor: Actor, result: LiveResult, detect_ms: float) -> None:
+        """Curves and bars of now."""
+        x = np.arange(1 - len(self._anchor), 1)
+        series = {"to anchor space": (x, np.array(self._anchor)), "to adaptive space": (x, np.array(self._adaptive))}
+        self.curves.update(**series)
+        tracked = result.tracked
+        self.stages.update([*(tracked.stage_ms.get(name, 0.0) for name in STAGE_NAMES), detect_ms])
+        names = actor.expression_names[: len(tracked.coefficients)]
+        if names != self._names:
+            self._names = names
+            self.coefficients = BarChart(names, (0, 1), "", "coefficients (re-solved)", size=(330, 470))
+            self._box.children = [self.coefficients.widget]
+        if self.coefficients is not None:
+            self.coefficients.update(tracked.coefficients)

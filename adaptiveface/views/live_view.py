@@ -1,0 +1,315 @@
+"""The live view: pick a sensor, scan the neutral face under guidance, then watch and steer the tracking."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import time
+from collections.abc import Callable
+from os import PathLike
+
+from ..actor import Actor
+from ..errors import AdaptiveFaceError, TrackingError
+from ..live.run import BUILDING, CLOSED, FAILED, OPENING, SCANNING, TRACKING, LiveRun
+from ..live.session import LiveResult, LiveStatistics
+from ..parameters import Parameters
+from ..sensors.live import LiveSensor
+from .kernel import BackgroundTask, on_main_thread, running_loop, strict
+from .live_controls import LiveControls, alert, coverage_bars
+from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
+from .live_recorder import LiveRecorder
+
+#: At most so many pictures of the face, and of the curves, a second.
+PICTURES, CHARTS = 25.0, 4.0
+BUILD_STEPS = {"fuse": "merging the scan", "fit": "fitting the identity", "shrink_wrap": "shrink-wrap",
+               "blendshapes": "making the blendshapes"}  # fmt: skip
+_DEGRADED = "<b>colour only: no depth, degraded.</b> Pose and expression come from 2D landmarks; no correctives. "
+
+
+class LiveView:
+    """``sensor``: a name for :func:`~adaptiveface.sensors.open_sensor`, an open sensor, or None to choose one on the page.
+
+    ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``character``: a
+    built-in or own one that follows. ``widget`` is what to display; :meth:`close` ends every thread. Draws on the
+    kernel's event loop, always the newest result; from code: :meth:`until`, and the methods behind the buttons.
+    """
+
+    def __init__(
+        self,
+        sensor: LiveSensor | str | None = None,
+        actor: Actor | str | PathLike | None = None,
+        character: str | None = None,
+        parameters: Parameters | None = None,
+        seconds: float = 10.0,
+    ) -> None:
+        self._given, self._actor, self._seconds = sensor, actor, seconds
+        self.run: LiveRun | None = None
+        self.result: LiveResult | None = None
+        self.drawn = 0
+        self._recorder: LiveRecorder | None = None
+        self._shown_state, self._chart_due, self._scan_frame, self._rate = "", 0.0, None, (0.0, 0)
+        self._dropped_before = (0, 0, 0)
+        name = sensor if isinstance(sensor, str) or sensor is None else sensor.name
+        self.controls = LiveControls(self._set_parameters, parameters, name, character)
+        self.input, self.mesh, self.curves = InputPane(), MeshPane(), CurvesPane()
+        self._character: CharacterPane | None = None
+        self._task = BackgroundTask()
+        self._connect()
+        self._choose_character()
+        self.controls.curves.children = [self.curves.widget]
+        self.controls.show(False, False, False)
+        if sensor is not None:
+            self.start()
+
+    @property
+    def widget(self):
+        """What to display."""
+        return self.controls.widget
+
+    def _ipython_display_(self) -> None:
+        from IPython.display import display
+
+        display(self.widget)
+
+    # ---- what the buttons do, from code as well --------------------------------------------------------------------
+    def start(self) -> None:
+        """Open the sensor that is chosen; needs a running event loop (a notebook)."""
+        if running_loop() is None:
+            raise AdaptiveFaceError("the live view needs a running event loop: use it in a notebook")
+        self.stop()
+        given = self._given
+        chosen = given if isinstance(given, LiveSensor) else self.controls.sensor.value
+        with self._shown():
+            self.run = LiveRun(chosen, self._actor, self.controls.panel.parameters, self._seconds)
+            self.run.on_result(self.curves.add)
+            self.result = None
+            self._task.start(self._draw_for_ever())
+
+    def stop(self) -> None:
+        """Close the sensor and end every thread; the last pictures stay, and :meth:`start` begins again."""
+        self._task.stop()
+        if self.run is not None:
+            self.record(False)
+            self._actor = self.run.actor
+            self.run.close()
+            self._show_state()
+            self.run = None
+
+    def close(self) -> None:
+        """Stop, free the renderer, take the widgets away."""
+        self.stop()
+        self.mesh.close()
+        self.widget.close()
+
+    def set(self, **values) -> None:
+        """Move sliders: ``set(laplacian__w2=100)``; acts on the next frame."""
+        self.controls.panel.set(**values)
+
+    def finish_scan(self) -> None:
+        """Enough of the neutral scan."""
+        if self.run is not None:
+            self.run.finish_scan()
+
+    def relearn(self) -> None:
+        """Scan the neutral face again."""
+        if self.run is not None:
+            self.record(False)
+            self.run.relearn()
+            self.curves.clear()
+
+    def freeze(self, on: bool = True) -> None:
+        """Stop learning correctives, or go on."""
+        if self.controls.freeze.value != on:
+            self.controls.freeze.value = on  # this calls back
+        elif self.run is not None and self.run.session is not None:
+            self.run.session.freeze(on)
+
+    def reset_correctives(self) -> None:
+        """Forget the learned correctives."""
+        if self.run is not None and self.run.session is not None:
+            self.run.session.reset_correctives()
+
+    def record(self, on: bool = True) -> None:
+        """Start or finish a recording in the folder that stands beside the button."""
+        if on and self._recorder is None and self.run is not None:
+            try:
+                self._recorder = LiveRecorder(self.run, self.controls.folder.value.strip() or None)
+            finally:
+                self.controls.record.value = self._recorder is not None
+            self._say(f"recording to {self._recorder.folder}")
+        elif not on and self._recorder is not None:
+            recorder, self._recorder = self._recorder, None
+            self.controls.record.value = False
+            self._say(recorder.close())
+
+    def save_actor(self, path: str | PathLike | None = None) -> None:
+        """Write the head to a file, by default the one that stands beside the button."""
+        path = path or self.controls.file.value.strip() or "actor.npz"
+        if self.run is None or self.run.actor is None:
+            raise AdaptiveFaceError(f"{path}: there is no actor to save yet")
+        self.run.actor.save(path)
+        self._say(f"saved {path}")
+
+    async def until(self, condition: Callable[[LiveView], bool], timeout: float = 120.0) -> LiveView:
+        """Wait until ``condition(view)``, e.g. ``lambda v: v.drawn > 30``; raises what failed, or on ``timeout`` s."""
+        end = time.perf_counter() + timeout
+        while not condition(self):
+            if self.run is not None and self.run.error is not None:
+                raise self.run.error
+            if not self._task.running:
+                await self._task.finished()
+                raise TrackingError("the live view was stopped")
+            if time.perf_counter() > end:
+                raise TrackingError(f"the live view is still {self.run.state} after {timeout:g} s")
+            await asyncio.sleep(0.02)
+        return self
+
+    # ---- drawing, on the kernel's main thread ----------------------------------------------------------------------
+    async def _draw_for_ever(self) -> None:
+        while True:
+            began = time.perf_counter()
+            with self._shown():
+                self._step()
+            await asyncio.sleep(max(1 / PICTURES - (time.perf_counter() - began), 0.005))
+
+    def _step(self) -> None:
+        """Draw what is new."""
+        if self.run.state != self._shown_state:
+            self._show_state()
+        if self.run.state == SCANNING:
+            self._draw_scan()
+        elif self.run.state == BUILDING:
+            step, share = self.run.progress
+            self.controls.status.value = f"building your head: {BUILD_STEPS.get(step, step)} {100 * share:.0f} %"
+        elif self.run.state == TRACKING:
+            self._draw_result()
+        elif self.run.state == FAILED:
+            raise self.run.error
+
+    def _draw_scan(self) -> None:
+        guide, guidance, frame = self.run.guide, self.run.guidance, self.run.frame
+        if guidance is None or frame is self._scan_frame:
+            self._say_trouble(self.run.message)
+            return
+        self._scan_frame = frame
+        self.input.show_scan(frame)
+        self.mesh.show_scan(guide.vertex_coverage, guide.pose)
+        self.drawn += 1
+        self.controls.progress.value = guidance.progress
+        text = "; ".join(guidance.warnings) if guidance.warnings else guidance.text
+        colour = "color:#b3261e;" if guidance.warnings else ""
+        self.controls.status.value = f"<b style='font-size:150%;{colour}'>{html.escape(text)}</b>"
+        self.controls.coverage.value = coverage_bars(guidance.coverage, guidance.step)
+
+    def _draw_result(self) -> None:
+        session, actor = self.run.session, self.run.actor
+        result = None if session is None else session.latest(-1 if self.result is None else self.result.index)
+        now = time.perf_counter()
+        if result is not None:
+            self.result = result
+            self.input.show(actor, result)
+            self.mesh.show(actor, result)
+            if self._character is not None:
+                self._character.show(actor, result)
+            self.drawn += 1
+        if session is not None and now >= self._chart_due:
+            self._chart_due = now + 1 / CHARTS
+            self._draw_figures(session)
+
+    def _draw_figures(self, session) -> None:
+        statistics = session.statistics
+        if self.result is not None:
+            self.curves.draw(self.run.actor, self.result, statistics.detect_ms)
+        now, (before, drawn) = time.perf_counter(), self._rate
+        self._rate = (now, self.drawn)
+        rate = (self.drawn - drawn) / max(now - before, 1e-3)
+        dropped = [now - before for now, before in zip(_dropped(statistics), self._dropped_before, strict=True)]
+        recording = f"; recorded {self._recorder.frames} frames" if self._recorder else ""
+        self.controls.figures.value = (
+            f"latency {statistics.latency_ms_p50:.0f} ms (95 %: {statistics.latency_ms_p95:.0f} ms), "
+            f"{statistics.fps:.0f} frames/s tracked, {rate:.0f} pictures/s; frames dropped by the sensor {dropped[0]}, "
+            f"the features {dropped[1]}, the tracker {dropped[2]}; correctives {session.model.correctives.shape[1]}{recording}"
+        )
+        self._say_trouble(statistics.message)
+
+    def _show_state(self) -> None:
+        state = self._shown_state = self.run.state
+        self.controls.show(state == SCANNING, state == TRACKING, state not in (FAILED, CLOSED))
+        texts = {OPENING: f"opening {self.run.name} ...", TRACKING: f"tracking: {self.run.name}", CLOSED: "stopped",
+                 FAILED: "", SCANNING: "looking for a face ..."}  # fmt: skip
+        label = _DEGRADED if self.run.colour_only and state == TRACKING else ""
+        self.controls.status.value = label + html.escape(texts.get(state, state))
+        if state == TRACKING:
+            self.result = None  # results of another session count from zero again
+            self._dropped_before = _dropped(self.run.session.statistics)  # while the head was built
+            if self.run.guidance is not None and self.run.guidance.warnings:
+                self.controls.status.value += html.escape(f" ({'; '.join(self.run.guidance.warnings)})")
+            if self.controls.freeze.value and self.run.session is not None:
+                self.run.session.freeze(True)
+
+    # ---- controls --------------------------------------------------------------------------------------------------
+    def _connect(self) -> None:
+        c = self.controls
+
+        def acts(action: Callable) -> Callable:
+            def guarded(*_) -> None:
+                with self._shown():
+                    action()
+
+            return on_main_thread(guarded)
+
+        for button, action in ((c.start, self.start), (c.stop, self.stop), (c.enough, self.finish_scan),
+                               (c.relearn, self.relearn), (c.reset, self.reset_correctives),
+                               (c.save, self.save_actor)):  # fmt: skip
+            button.on_click(acts(action))
+        c.freeze.observe(acts(lambda: self.freeze(c.freeze.value)), "value")
+        c.record.observe(acts(lambda: self.record(c.record.value)), "value")
+        c.character.observe(acts(self._choose_character), "value")
+        c.sensor.observe(acts(self._choose_sensor), "value")
+
+    def _choose_sensor(self) -> None:
+        self._given = None
+        state = self.controls.states.get(self.controls.sensor.value, "ready")
+        self._say_trouble("" if state == "ready" else f"{self.controls.sensor.value}: {state}")
+
+    def _choose_character(self) -> None:
+        name = self.controls.character.value
+        self._character = CharacterPane(name) if name else None
+        extra = [self._character.widget] if self._character else []
+        self.controls.pictures.children = [self.input.widget, self.mesh.widget, *extra]
+
+    def _set_parameters(self, parameters: Parameters) -> None:
+        if self.run is not None:
+            self.run.set_parameters(parameters)
+
+    def _say(self, text: str) -> None:
+        self.controls.status.value = html.escape(text)
+
+    def _say_trouble(self, text: str) -> None:
+        if self.controls.trouble.value != alert(text):
+            self.controls.trouble.value = alert(text)
+
+    def _shown(self) -> _Shown:
+        return _Shown(self)
+
+
+def _dropped(statistics: LiveStatistics) -> tuple[int, int, int]:
+    return statistics.dropped_sensor, statistics.dropped_features, statistics.dropped_tracker
+
+
+class _Shown:
+    """Errors end in the panel, and stop what cannot go on; raised too where :func:`strict`."""
+
+    def __init__(self, view: LiveView) -> None:
+        self._view = view
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind, error, trace) -> bool:
+        if not isinstance(error, Exception):
+            return False
+        self._view._say_trouble(str(error) or type(error).__name__)
+        if self._view.run is not None and self._view.run.state == FAILED:
+            self._view._task.stop()
+        return not strict()
