@@ -93,7 +93,7 @@ def test_a_face_that_never_looks_neutral_is_used_after_twice_the_time(actor):
     guide = GuidedCapture(seconds=2.0)
     results = [guide.add(frame) for frame in still(actor, 6.0, shape=wide)]
     first = next(k for k, result in enumerate(results) if result.done)
-    assert first == pytest.approx(40, abs=1) and any("never quite neutral" in w for w in results[-1].warnings)
+    assert first == pytest.approx(40, abs=1) and any("without a warning" in w for w in results[-1].warnings)
 
 
 def test_what_is_wrong_with_a_frame(actor):
@@ -106,9 +106,12 @@ def test_what_is_wrong_with_a_frame(actor):
     }
     for text, frame in cases.items():
         guide = GuidedCapture()
-        assert text in guide.add(frame).warnings[0] and guide.frames == []
-        with pytest.raises(TrackingError, match="none of the 1 frames"):
-            guide.finish()
+        assert text in guide.add(frame).warnings[0]
+        if text.startswith("no "):
+            with pytest.raises(TrackingError, match="none of the 1 frames"):
+                guide.finish()
+        else:
+            assert guide.finish().warnings, "better than nothing, but said"
     guide = GuidedCapture()
     guide.add(good)
     shifted = Features2D(good.features.pixels + [60.0, 0.0], good.features.confidence)
@@ -137,7 +140,7 @@ def test_enough_ends_it_at_once(actor):
 
 def test_the_sensors_neutral_frames_make_the_head(sensor):
     """The live performance: neutral frames among expressions; the scan takes the neutral ones and covers the face."""
-    guide, warned = GuidedCapture(seconds=5.0, most=30), []
+    guide, warned = GuidedCapture(seconds=5.0, most=20), []
     for k in range(200):
         step = k % 178
         frame = sensor.read(step if step < 90 else 178 - step)
@@ -145,7 +148,7 @@ def test_the_sensors_neutral_frames_make_the_head(sensor):
         warned += guidance.warnings if not guidance.done else ()
         if guidance.done:
             break
-    assert guidance.done and len(guide.frames) == 30
+    assert guidance.done and len(guide.frames) == 20
     assert {"close your mouth", "keep your eyes open"} <= set(warned)
     assert guide.vertex_coverage[guide.model.frontal].mean() > 0.9 and guide.vertex_coverage.max() == 1.0
     actor, truth = guide.build(), sensor.ground_truth(0)

@@ -160,16 +160,17 @@ class GuidedCapture:
         if pose is None:
             return ("no face: look at the camera, well lit",), None
         self.pose, distance = pose, float(np.linalg.norm(pose[:3, 3]))
-        if distance < NEAR:
-            return (f"too near ({distance / 10:.0f} cm): move back",), None
         neutral = frame.camera.project(transform_points(pose, self._points))
         unit = eye_distance(neutral)
         turned = abs(head_angles(pose)[0]) > PROFILE  # where the detector guesses the far half of the face
-        if distance > FAR or (unit < MIN_EYE_PIXELS and not turned):
-            return (f"too far ({distance / 10:.0f} cm): come closer",), None
+        warnings = []
+        if distance < NEAR:
+            warnings.append(f"too near ({distance / 10:.0f} cm): move back")
+        elif distance > FAR or (unit < MIN_EYE_PIXELS and not turned):
+            warnings.append(f"too far ({distance / 10:.0f} cm): come closer")
         face = Expression(0, 0, 0, 0) if turned else expression(frame.features, neutral)
         blur = self._blur(frame)
-        warnings = [face.warning] if face.warning else []
+        warnings += [face.warning] if face.warning else []
         if blur >= 1 or self._speed(frame, unit) > FAST:
             warnings.append("blurred: move more slowly")
             blur = max(blur, 1.0)
@@ -267,7 +268,7 @@ class GuidedCapture:
         if missing:
             out.append(f"the head hardly turned {', '.join(missing)}: its sides are taken from the average head")
         if sum(kept.clean for kept in self._kept) < MIN_FRAMES:
-            out.append("the face was never quite neutral: the scan may hold an expression")
+            out.append("hardly a frame was without a warning: the head may hold an expression or lack detail")
         return tuple(out)
 
 

@@ -8,18 +8,19 @@ from os import PathLike
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError
-from ..face_model import embedded_face_model
-from ..neutral.capture import build_actor
+from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
 from ..sensors.catalogue import open_sensor
 from ..sensors.live import LiveFrame, LiveSensor
 from .feed import FeatureFeed
-from .guided import Guidance, GuidedCapture
+from .guided import STEPS, Guidance, GuidedCapture
 from .session import LiveResult, LiveSession
 
 #: Longest wait for a frame, s; closing has to stay responsive.
 POLL_SECONDS = 0.1
 CLOSE_SECONDS = 1.0
+#: Frames with a face from which the proportions are taken where there is no depth.
+COLOUR_FRAMES = 30
 
 #: What a run is doing.
 OPENING, SCANNING, BUILDING, TRACKING, FAILED, CLOSED = "opening", "scanning", "building", "tracking", "failed", "closed"
@@ -64,7 +65,7 @@ class LiveRun:
     @property
     def colour_only(self) -> bool:
         """Whether the sensor measures no depth: the degraded mode, on the average head where no actor is given."""
-        return bool(getattr(self.sensor, "colour_only", False))
+        return self.sensor is not None and self.sensor.colour_only
 
     @property
     def parameters(self) -> Parameters:
@@ -86,8 +87,6 @@ class LiveRun:
         """Scan the neutral face again, then go on tracking with the new head. Does nothing where that is going on."""
         if self.state != TRACKING:
             return
-        if self.colour_only:
-            raise SensorError(f"{self.name}: measures no depth, which a neutral scan needs")
         self._stop_session()
         self.state = SCANNING
         self._start(self._scan_and_track)
@@ -152,15 +151,15 @@ class LiveRun:
             return
         self.sensor, self.name = sensor, sensor.name
         self.feed = FeatureFeed(sensor)
-        if self.actor is None and self.colour_only:
-            model = embedded_face_model()
-            self.actor = build_actor(model, model.mean)
         if self.actor is None:
             self._scan_and_track()
         else:
             self._track()
 
     def _scan_and_track(self) -> None:
+        if self.colour_only:
+            self._proportions_and_track()
+            return
         self.guide, self._enough = GuidedCapture(self.seconds), False
         self.guidance = None
         self.state = SCANNING
@@ -173,20 +172,50 @@ class LiveRun:
         if not self._closed:
             self._track()
 
-    def _scan_one(self) -> None:
+    def _proportions_and_track(self) -> None:
+        """Without depth: the average head, with what the 2D features of some frames tell about its proportions."""
+        frames: list[LiveFrame] = []
+        self.guide, self._enough, self.state = None, False, SCANNING
+        while len(frames) < COLOUR_FRAMES and not (self._enough and frames):
+            if self._closed:
+                return
+            frame = self._read()
+            if frame is None:
+                continue
+            found = frame.features is not None
+            frames += [frame] if found else []
+            warnings = () if found else ("no face: look at the camera, well lit",)
+            text, share = STEPS["straight"], len(frames) / COLOUR_FRAMES
+            self.guidance = Guidance(text, "straight", share, {}, warnings, share >= 1)
+        self.state = BUILDING
+        self.actor = capture_colour_actor(frames, parameters=self._parameters)
+        if not self._closed:
+            self._track()
+
+    def _read(self) -> LiveFrame | None:
+        """The newest frame, or None for a moment without."""
         try:
             frame = self.feed.read(POLL_SECONDS)
         except SensorTimeoutError:
-            return
+            return None
         except EndOfRecording:
-            self.guidance = self.guide.finish()
-            return
+            raise
         except SensorError as error:
             if not self.feed.running:
                 raise
             self.message = str(error)
-            return
+            return None
         self.frame, self.message = frame, ""
+        return frame
+
+    def _scan_one(self) -> None:
+        try:
+            frame = self._read()
+        except EndOfRecording:
+            self.guidance = self.guide.finish()
+            return
+        if frame is None:
+            return
         self.guidance = self.guide.add(frame)
         if self._enough and self.guide.frames:
             self.guidance = self.guide.finish()

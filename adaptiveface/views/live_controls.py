@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 
 import ipywidgets as widgets
 
-from ..live.guided import STEPS
+from ..live.guided import STEPS, Guidance
+from ..live.statistics import LiveStatistics
 from ..retargeting import BUILT_IN
 from ..sensors.catalogue import list_sensors
 from .parameter_panel import ParameterPanel
@@ -36,6 +38,30 @@ def coverage_bars(coverage: dict[str, float], step: str) -> str:
             f"<progress max='1' value='{share:.2f}' style='width:70px'></progress> {mark}</td>"
         )
     return f"<table class='adaptiveface-coverage'><tr>{''.join(cells)}</tr></table>"
+
+
+def instruction(guidance: Guidance) -> str:
+    """What to do now, in large letters; red where something is wrong."""
+    text = "; ".join(guidance.warnings) if guidance.warnings else guidance.text
+    colour = "color:#b3261e;" if guidance.warnings else ""
+    return f"<b style='font-size:150%;{colour}'>{html.escape(text)}</b>"
+
+
+def dropped_frames(statistics: LiveStatistics) -> tuple[int, int, int]:
+    """Frames lost by the sensor, the detector and the tracker since the sensor was opened."""
+    return statistics.dropped_sensor, statistics.dropped_features, statistics.dropped_tracker
+
+
+def figures(
+    statistics: LiveStatistics, dropped: Sequence[int], rate: float, correctives: int, recorded: int | None
+) -> str:
+    """Latency, rates, lost frames; ``rate``: pictures a second, ``recorded``: frames on disk, None without recording."""
+    return (
+        f"latency {statistics.latency_ms_p50:.0f} ms (95 %: {statistics.latency_ms_p95:.0f} ms), "
+        f"{statistics.fps:.0f} frames/s tracked, {rate:.0f} pictures/s; frames dropped by the sensor {dropped[0]}, "
+        f"the features {dropped[1]}, the tracker {dropped[2]}; correctives {correctives}"
+        + ("" if recorded is None else f"; recorded {recorded} frames")
+    )
 
 
 def _button(text: str, icon: str, tooltip: str, name: str, toggle: bool = False, width: str = "150px"):

@@ -6,16 +6,17 @@ import asyncio
 import html
 import time
 from collections.abc import Callable
+from contextlib import contextmanager
 from os import PathLike
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, TrackingError
 from ..live.run import BUILDING, CLOSED, FAILED, OPENING, SCANNING, TRACKING, LiveRun
-from ..live.session import LiveResult, LiveStatistics
+from ..live.session import LiveResult
 from ..parameters import Parameters
 from ..sensors.live import LiveSensor
 from .kernel import BackgroundTask, on_main_thread, running_loop, strict
-from .live_controls import LiveControls, alert, coverage_bars
+from .live_controls import LiveControls, alert, coverage_bars, dropped_frames, figures, instruction
 from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
 from .live_recorder import LiveRecorder
 
@@ -193,13 +194,12 @@ class LiveView:
             return
         self._scan_frame = frame
         self.input.show_scan(frame)
-        self.mesh.show_scan(guide.vertex_coverage, guide.pose)
+        if guide is not None:
+            self.mesh.show_scan(guide.vertex_coverage, guide.pose)
         self.drawn += 1
         self.controls.progress.value = guidance.progress
-        text = "; ".join(guidance.warnings) if guidance.warnings else guidance.text
-        colour = "color:#b3261e;" if guidance.warnings else ""
-        self.controls.status.value = f"<b style='font-size:150%;{colour}'>{html.escape(text)}</b>"
-        self.controls.coverage.value = coverage_bars(guidance.coverage, guidance.step)
+        self.controls.status.value = (_DEGRADED if self.run.colour_only else "") + instruction(guidance)
+        self.controls.coverage.value = coverage_bars(guidance.coverage, guidance.step) if guide else ""
 
     def _draw_result(self) -> None:
         session, actor = self.run.session, self.run.actor
@@ -223,12 +223,10 @@ class LiveView:
         now, (before, drawn) = time.perf_counter(), self._rate
         self._rate = (now, self.drawn)
         rate = (self.drawn - drawn) / max(now - before, 1e-3)
-        dropped = [now - before for now, before in zip(_dropped(statistics), self._dropped_before, strict=True)]
-        recording = f"; recorded {self._recorder.frames} frames" if self._recorder else ""
-        self.controls.figures.value = (
-            f"latency {statistics.latency_ms_p50:.0f} ms (95 %: {statistics.latency_ms_p95:.0f} ms), "
-            f"{statistics.fps:.0f} frames/s tracked, {rate:.0f} pictures/s; frames dropped by the sensor {dropped[0]}, "
-            f"the features {dropped[1]}, the tracker {dropped[2]}; correctives {session.model.correctives.shape[1]}{recording}"
+        dropped = [now - before for now, before in zip(dropped_frames(statistics), self._dropped_before, strict=True)]
+        recorded = self._recorder.frames if self._recorder else None
+        self.controls.figures.value = figures(
+            statistics, dropped, rate, session.model.correctives.shape[1], recorded
         )
         self._say_trouble(statistics.message)
 
@@ -237,11 +235,11 @@ class LiveView:
         self.controls.show(state == SCANNING, state == TRACKING, state not in (FAILED, CLOSED))
         texts = {OPENING: f"opening {self.run.name} ...", TRACKING: f"tracking: {self.run.name}", CLOSED: "stopped",
                  FAILED: "", SCANNING: "looking for a face ..."}  # fmt: skip
-        label = _DEGRADED if self.run.colour_only and state == TRACKING else ""
+        label = _DEGRADED if self.run.colour_only else ""
         self.controls.status.value = label + html.escape(texts.get(state, state))
         if state == TRACKING:
             self.result = None  # results of another session count from zero again
-            self._dropped_before = _dropped(self.run.session.statistics)  # while the head was built
+            self._dropped_before = dropped_frames(self.run.session.statistics)  # while the head was built
             if self.run.guidance is not None and self.run.guidance.warnings:
                 self.controls.status.value += html.escape(f" ({'; '.join(self.run.guidance.warnings)})")
             if self.controls.freeze.value and self.run.session is not None:
@@ -289,27 +287,14 @@ class LiveView:
         if self.controls.trouble.value != alert(text):
             self.controls.trouble.value = alert(text)
 
-    def _shown(self) -> _Shown:
-        return _Shown(self)
-
-
-def _dropped(statistics: LiveStatistics) -> tuple[int, int, int]:
-    return statistics.dropped_sensor, statistics.dropped_features, statistics.dropped_tracker
-
-
-class _Shown:
-    """Errors end in the panel, and stop what cannot go on; raised too where :func:`strict`."""
-
-    def __init__(self, view: LiveView) -> None:
-        self._view = view
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind, error, trace) -> bool:
-        if not isinstance(error, Exception):
-            return False
-        self._view._say_trouble(str(error) or type(error).__name__)
-        if self._view.run is not None and self._view.run.state == FAILED:
-            self._view._task.stop()
-        return not strict()
+    @contextmanager
+    def _shown(self):
+        """Errors end in the panel, and stop what cannot go on; raised too where :func:`strict`."""
+        try:
+            yield
+        except Exception as error:
+            self._say_trouble(str(error) or type(error).__name__)
+            if self.run is not None and self.run.state == FAILED:
+                self._task.stop()
+            if strict():
+                raise
