@@ -61,7 +61,7 @@ def open_source(text: str) -> FrameSource:
         from .record3d import R3dRecording
 
         return R3dRecording(text)
-    if text.lower().endswith((".db3", ".bag", ".mkv")) and Path(text).is_file():
+    if text.lower().endswith((".db3", ".bag", ".oni", ".mkv")) and Path(text).is_file():
         raise FileFormatError(f"{text}: plays from start to end only; first: adaptiveface convert {text} --out DIR")
     if is_video(text):
         return VideoFile(text)

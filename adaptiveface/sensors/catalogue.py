@@ -53,6 +53,12 @@ def _record3d(identifier: str) -> LiveSensor:
     return LiveSensor(lambda: Record3DDriver(identifier))
 
 
+def _openni2(which: str) -> LiveSensor:
+    from .openni2 import OpenNI2Driver
+
+    return LiveSensor(lambda: OpenNI2Driver(which))
+
+
 def _webcam(options: str) -> LiveSensor:
     from .webcam import WebcamDriver, WebcamOptions
 
@@ -80,6 +86,7 @@ _KINDS = {
     "synthetic": _synthetic,
     "realsense": _realsense,
     "record3d": _record3d,
+    "openni2": _openni2,
     "azure": _azure,
     "webcam": _webcam,
 }
@@ -87,16 +94,16 @@ _REALSENSE_FILES = (".db3", ".bag")
 _AZURE_FILES = (".mkv",)
 POSSIBLE = (
     "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
-    "'azure[:INDEX]', "
+    "'openni2[:URI or INDEX]', 'azure[:INDEX]', "
     "'webcam[:INDEX|http://...][,fov=DEGREES][,mirrored]' (colour only), "
-    "or the path of a recording (folder, .r3d, .db3, .bag, .mkv; colour only: .mp4, .mov, .avi, .webm)"
+    "or the path of a recording (folder, .r3d, .db3, .bag, .oni, .mkv; colour only: .mp4, .mov, .avi, .webm)"
 )
 
 
 def list_sensors() -> list[SensorInfo]:
     """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
     synthetic = SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")
-    return [synthetic, *_realsense_cameras(), *_phones(), *_azure_cameras(), *_webcams()]
+    return [synthetic, *_realsense_cameras(), *_phones(), *_openni2_cameras(), *_azure_cameras(), *_webcams()]
 
 
 def _webcams() -> list[SensorInfo]:
@@ -118,6 +125,14 @@ def _phones() -> list[SensorInfo]:
 
     description = "iPhone with the app Record3D, by USB"
     return _connected("record3d", description, lambda: [(phone, description) for phone in connected_phones()])
+
+
+
+
+def _openni2_cameras() -> list[SensorInfo]:
+    from .openni2 import connected_cameras
+
+    return _connected("openni2", "PrimeSense Carmine, Asus Xtion and other OpenNI2 cameras", connected_cameras)
 
 
 def _azure_cameras() -> list[SensorInfo]:
@@ -166,6 +181,10 @@ def _open_path(path: Path) -> LiveSensor:
         return LiveSensor(lambda: RealSenseDriver(path=path), reconnect=False)
     if path.suffix.lower() in _AZURE_FILES and path.is_file():
         return _azure_file(path)
+    if path.suffix.lower() == ".oni" and path.is_file():
+        from .openni2 import OpenNI2Driver
+
+        return LiveSensor(lambda: OpenNI2Driver(path=path), reconnect=False)
     from . import open_source
 
     source = open_source(str(path))

@@ -1,0 +1,258 @@
+"""PrimeSense Carmine, Asus Xtion and other OpenNI2 cameras, and ``.oni`` recordings, through the vendor's library.
+
+The camera registers depth to colour. A recording does not say whether its depth was registered: registration has to be
+on while recording. The calibration is the field of view that the driver tells, without distortion.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import (
+    EndOfRecording,
+    FileFormatError,
+    ParameterError,
+    SensorDisconnectedError,
+    SensorError,
+    SensorNotFoundError,
+)
+from . import openni2_library as oni
+from .live import RawFrame
+from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner
+
+#: Size and rate asked for where the camera has them.
+WIDTH, HEIGHT, FPS = 640, 480, 30
+#: A picture further than this many frames from its depth is not the same moment.
+MAX_SKEW_FRAMES = 0.6
+#: Playback that gives nothing for so long has ended (a truncated file), s.
+PLAYBACK_PATIENCE = 3.0
+#: A camera that gives nothing for so long is looked for, s.
+LIVE_PATIENCE = 1.0
+#: The library's driver for files plays frame by frame at this speed, each one when it is asked for.
+_FRAME_BY_FRAME = -1.0
+
+
+@by_the_owner
+def connected_cameras() -> list[tuple[str, str]]:
+    """(URI, name) of every connected camera; raises :class:`DriverMissingError`."""
+    library = OpenNI2Library()
+    library.start()
+    return library.devices()
+
+
+class OpenNI2Driver:
+    """One camera, by URI or number or the first one; or the recording at ``path``, played as fast as it is read."""
+
+    has_features = False
+
+    def __init__(self, which: str = "", path: Path | None = None) -> None:
+        if len(which) > 255:
+            raise ParameterError(f"openni2:{which[:32]}...: a URI is shorter")
+        self._library = OpenNI2Library()
+        self.which, self.path, self.live = which, path, path is None
+        self.name = path.stem if path else f"OpenNI2 {which}".strip()
+        self.fps, self.depth_scale = float(FPS), 1000.0
+        self._device = None
+
+    @by_the_owner
+    def open(self) -> None:
+        """Start streaming; raises :class:`SensorNotFoundError`, :class:`FileFormatError` or :class:`SensorError`."""
+        try:
+            self._library.start()
+            self._device = self._open_device() if self.live else self._open_file()
+            self._prepare(self._device)
+            for stream in self._device.streams:
+                stream.start()
+        except OpenNI2Error as error:
+            if not self.live:
+                raise FileFormatError(f"{self.path}: not a complete OpenNI2 recording with depth ({error})") from None
+            raise SensorError(f"{self.name}: cannot start depth and colour ({error}); plug it in again") from None
+        self._last_frame, self._last_index, self._read = time.perf_counter(), -1, 0
+        self._waiting: dict = {}
+
+    @by_the_owner
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The next pair of depth and colour; a device without colour gives depth alone."""
+        deadline = time.perf_counter() + timeout
+        while True:
+            self._check_end()
+            stream = self._device.wait(max(deadline - time.perf_counter(), 0.001))
+            if stream is None:
+                self._check_silence()
+            else:
+                image, index, timestamp = self._take(stream)
+                self._waiting[stream is self._depth] = image, index, timestamp
+                frame = self._pair()
+                if frame is not None:
+                    return frame
+            if time.perf_counter() >= deadline:
+                return None
+
+    @by_the_owner
+    def close(self) -> None:
+        """Stop the streams and close the device."""
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+    # ---- opening ---------------------------------------------------------------------------------------------------
+    def _open_device(self):
+        devices = self._library.devices()
+        uri = self.which
+        if uri.isdecimal() or not uri:
+            number = int(uri or 0)
+            if number >= len(devices):
+                raise self._not_found(devices)
+            uri = devices[number][0]
+        try:
+            device = self._library.open(uri)
+        except OpenNI2Error as error:
+            if uri in [known for known, _ in devices]:
+                raise SensorError(f"{self.name}: cannot be opened ({error}); is another program using it?") from None
+            raise self._not_found(devices) from None
+        if device.is_file:
+            device.close()
+            raise ParameterError(f"openni2:{uri}: is a recording; give its path alone")
+        return device
+
+    def _not_found(self, devices) -> SensorNotFoundError:
+        found = ", ".join(uri for uri, _ in devices) or "none"
+        return SensorNotFoundError(f"{self.name}: no such OpenNI2 camera is connected (found: {found})")
+
+    def _open_file(self):
+        device = self._library.open(str(self.path.absolute()))
+        device.set(oni.PLAYBACK_REPEAT, ctypes.c_int(1))  # without, the library now and then crashes at the end
+        device.set(oni.PLAYBACK_SPEED, ctypes.c_float(_FRAME_BY_FRAME))
+        return device
+
+    def _prepare(self, device) -> None:
+        """Create the streams, register depth to colour, and note size, rate, scale and calibration."""
+        depth_modes, colour_modes = device.modes(oni.DEPTH), device.modes(oni.COLOUR)
+        if not depth_modes:
+            raise OpenNI2Error(0, "it has no depth")
+        self._depth = device.stream(oni.DEPTH)
+        self._colour = device.stream(oni.COLOUR) if colour_modes else None
+        if self.live:
+            self._configure(device, depth_modes, colour_modes)
+        modes = [stream.get(oni.VIDEO_MODE, oni.VideoMode) for stream in device.streams]
+        self._check_modes(modes)
+        self.fps = float(modes[0].fps or FPS)
+        self.depth_scale = 10_000.0 if modes[0].format == oni.DEPTH_100_UM else 1000.0
+        self.camera = self._calibration(modes[0])
+        self._mirrored = [self._is_mirrored(stream) for stream in (self._depth, self._colour) if stream]
+        self._count = 0 if self.live else self._depth.get(oni.NUMBER_OF_FRAMES, ctypes.c_int).value
+
+    def _configure(self, device, depth_modes, colour_modes) -> None:
+        for stream, mode in zip(device.streams, best_modes(depth_modes, colour_modes), strict=False):
+            if stream.get(oni.VIDEO_MODE, oni.VideoMode) != mode:
+                stream.set(oni.VIDEO_MODE, mode)
+            if stream.supports(oni.MIRRORING):
+                stream.set(oni.MIRRORING, ctypes.c_int(0))
+        if self._colour is not None:
+            self._register(device)
+
+    def _register(self, device) -> None:
+        if not device.registers_depth():
+            raise SensorError(f"{self.name}: {device.title} cannot register its depth to its colour; not supported")
+        device.set(oni.IMAGE_REGISTRATION, ctypes.c_int(oni.DEPTH_TO_COLOUR))
+        try:
+            device.synchronise()
+        except OpenNI2Error:
+            pass  # then pictures are up to half a frame away from their depth
+
+    def _check_modes(self, modes) -> None:
+        where = self.path or self.name
+        formats = {oni.DEPTH: (oni.DEPTH_1_MM, oni.DEPTH_100_UM), oni.COLOUR: (oni.RGB888,)}
+        for mode, (kind, allowed) in zip(modes, formats.items(), strict=False):
+            if mode.format not in allowed:
+                what = "depth" if kind == oni.DEPTH else "colour"
+                raise FileFormatError(f"{where}: {what} in the pixel format {mode.format} is not supported; "
+                                      "record depth in 1 mm or 0.1 mm and colour as RGB888")  # fmt: skip
+        if len({(mode.width, mode.height) for mode in modes}) > 1:
+            sizes = " and ".join(f"{mode.width} x {mode.height}" for mode in modes)
+            raise FileFormatError(f"{where}: depth and colour of {sizes} pixels; record both in the same size")
+
+    def _calibration(self, mode) -> Camera:
+        """The colour camera's where depth is registered to it, else the depth camera's."""
+        stream = self._colour if self.live and self._colour is not None else self._depth
+        kinds = oni.FOV_HORIZONTAL, oni.FOV_VERTICAL
+        return camera_from_fov(mode.width, mode.height, *(stream.get(kind, ctypes.c_float).value for kind in kinds))
+
+    @staticmethod
+    def _is_mirrored(stream) -> bool:
+        try:
+            return bool(stream.get(oni.MIRRORING, ctypes.c_int).value)
+        except OpenNI2Error:
+            return False
+
+    # ---- frames ----------------------------------------------------------------------------------------------------
+    def _take(self, stream):
+        image, index, timestamp = stream.read()
+        self._last_frame = time.perf_counter()
+        if stream is self._depth:
+            wrapped, self._last_index = index <= self._last_index, index
+            self._read += 1
+            if not self.live and wrapped:  # it plays from the start again
+                self._end()
+        if self._mirrored[stream is not self._depth]:
+            image = image[:, ::-1]
+        return image, index, timestamp
+
+    def _pair(self) -> RawFrame | None:
+        """A frame where depth and colour of the same moment wait; the older one of two moments is forgotten."""
+        depth, colour = self._waiting.get(True), self._waiting.get(False)
+        if depth is None or (colour is None and self._colour is not None):
+            return None
+        if colour is not None and abs(depth[2] - colour[2]) > MAX_SKEW_FRAMES / self.fps:
+            del self._waiting[depth[2] < colour[2]]
+            return None
+        self._waiting.clear()
+        image, index, timestamp = depth
+        millimetres = image * np.float32(1000.0 / self.depth_scale)
+        return RawFrame(millimetres, self.camera, None if colour is None else colour[0], index, timestamp)
+
+    def _check_end(self) -> None:
+        """The last depth frame was read, and no picture is awaited for it."""
+        if not self.live and 0 < self._count <= self._read and True not in self._waiting:
+            self._end()
+
+    def _check_silence(self) -> None:
+        silent = time.perf_counter() - self._last_frame
+        if self.live:
+            if silent > LIVE_PATIENCE and self._device.uri not in [uri for uri, _ in self._library.devices()]:
+                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+        elif silent > PLAYBACK_PATIENCE:
+            self._end()
+
+    def _end(self) -> None:
+        if not self._read:
+            raise FileFormatError(f"{self.path}: plays no depth; it is truncated or lacks the properties of its streams")
+        raise EndOfRecording(f"{self.path}: the end of the recording")
+
+
+def best_modes(depth_modes, colour_modes) -> list:
+    """The depth mode, and the colour mode of the same size and rate, next to 640 x 480 at 30; 0.1 mm before 1 mm.
+
+    Raises :class:`OpenNI2Error` where no depth mode has a colour mode.
+    """
+    colours = {(m.width, m.height, m.fps): m for m in colour_modes if m.format == oni.RGB888}
+    depths = [m for m in depth_modes if m.format in (oni.DEPTH_1_MM, oni.DEPTH_100_UM)]
+    depths = [m for m in depths if not colour_modes or (m.width, m.height, m.fps) in colours]
+    if not depths:
+        raise OpenNI2Error(0, "no video mode in mm with a picture of the same size and rate")
+    best = min(depths, key=lambda m: (abs(m.width - WIDTH) + abs(m.height - HEIGHT), abs(m.fps - FPS), -m.format))
+    return [best, *([colours[best.width, best.height, best.fps]] if colour_modes else [])]
+
+
+def camera_from_fov(width: int, height: int, horizontal: float, vertical: float) -> Camera:
+    """A pinhole camera that sees ``horizontal`` and ``vertical`` rad from border to border of its image."""
+    if not (0 < horizontal < math.pi and 0 < vertical < math.pi):
+        raise OpenNI2Error(0, f"a field of view of {horizontal:g} x {vertical:g} rad")
+    fx, fy = width / 2 / math.tan(horizontal / 2), height / 2 / math.tan(vertical / 2)
+    return Camera(width, height, fx, fy, (width - 1) / 2, (height - 1) / 2)
