@@ -36,3 +36,11 @@ def detector():
     except FeatureDetectionError as error:
         pytest.skip(str(error))
     return FeatureDetector(path)
+
+
+@pytest.fixture(scope="session")
+def numpy_1(tmp_path_factory):
+    """Runs Python where NumPy 1 and the vendors' libraries that need it are installed; skips where they cannot be had."""
+    from numpy_1 import Environment
+
+    return Environment(tmp_path_factory.mktemp("numpy_1"))

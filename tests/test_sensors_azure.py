@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import re
-import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -87,42 +83,8 @@ def test_the_picture_is_shifted_by_the_baseline():
 
 
 # ---- the SDK itself --------------------------------------------------------------------------------------------------
-def packages() -> list[str]:
-    """What reading a sensor needs, of the project's own requirements, and the extra ``azure``."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    needed = [p for p in project["dependencies"] if re.match(r"(numpy|opencv|pillow)", p)]
-    assert len(needed) == 3
-    return needed + project["optional-dependencies"]["azure"]
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Runs Python in a new environment with pyk4a-bundle and NumPy 1; returns what it printed."""
-    if sys.version_info >= (3, 13) or sys.platform != "linux":
-        pytest.skip("pyk4a-bundle has no build for this Python or system")
-    python = tmp_path_factory.mktemp("azure") / "venv" / "bin" / "python"
-    quiet = ["-q", "--disable-pip-version-check", "--only-binary", ":all:"]
-    for command in (
-        [sys.executable, "-m", "venv", str(python.parents[1])],
-        [str(python), "-m", "pip", "install", *quiet, *packages()],
-        [str(python), "-c", "import pyk4a"],
-    ):
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-        if done.returncode:
-            pytest.skip(f"no environment with pyk4a-bundle and NumPy 1: {done.stderr.strip()[-300:]}")
-
-    def execute(*arguments, status: int = 0) -> str:
-        path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
-        command = [str(python), *map(str, arguments)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, env={**os.environ, "PYTHONPATH": path})
-        assert done.returncode == status, done.stderr[-2000:]
-        return done.stdout if status == 0 else done.stderr
-
-    return execute
-
-
 @pytest.mark.slow
-def test_a_recording_tracks_to_the_same_result(run, tmp_path):
+def test_a_recording_tracks_to_the_same_result(numpy_1, tmp_path):
     """The performance in an MKV of the SDK's recorder, converted with the command line, tracked here."""
     p = performance(640, 576, 504.0)
     plain = [p.camera.fx, p.camera.fy, p.camera.cx, p.camera.cy, *[0.0] * 8]
@@ -131,8 +93,8 @@ def test_a_recording_tracks_to_the_same_result(run, tmp_path):
         colour=np.full((720, 1280, 3), (200, 100, 50), np.uint8), baseline=-32.0,
         colour_lens=[610, 610, 639.5, 359.5, *[0.0] * 8],
     )  # fmt: skip
-    run(ROOT / "tests" / "azure_mkv.py", tmp_path / "take.npz", tmp_path / "take.mkv")
-    printed = run("-m", "adaptiveface", "convert", tmp_path / "take.mkv", "--out", tmp_path / "out")
+    numpy_1(ROOT / "tests" / "azure_mkv.py", tmp_path / "take.npz", tmp_path / "take.mkv")
+    printed = numpy_1("-m", "adaptiveface", "convert", tmp_path / "take.mkv", "--out", tmp_path / "out")
     assert f"{len(p)} frames" in printed and "0 dropped" in printed
     recording = Recording(tmp_path / "out")
     assert recording.camera == p.camera and recording.fps == 30
@@ -147,8 +109,8 @@ def test_a_recording_tracks_to_the_same_result(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_lens_distortion_and_picture_agree_with_the_sdk(run, tmp_path):
-    result = json.loads(run(ROOT / "tests" / "azure_check.py", tmp_path))
+def test_lens_distortion_and_picture_agree_with_the_sdk(numpy_1, tmp_path):
+    result = json.loads(numpy_1(ROOT / "tests" / "azure_check.py", tmp_path))
     print(f"\nAzure Kinect, a plane through the lens: {result}")
     assert result["frames"] == [0, 1] and result["times"] == pytest.approx([1.0, 1 + 1 / 30], abs=1e-3)
     assert result["plane"] < 0.3 < 3 < result["bent"]  # depth is stored in whole millimetres
@@ -157,9 +119,9 @@ def test_lens_distortion_and_picture_agree_with_the_sdk(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_failures_come_from_the_sdk_in_the_packages_words(run, tmp_path):
+def test_failures_come_from_the_sdk_in_the_packages_words(numpy_1, tmp_path):
     (tmp_path / "bad.mkv").write_bytes(b"nothing of the kind" * 100)
-    message = run("-m", "adaptiveface", "convert", tmp_path / "bad.mkv", "--out", tmp_path / "out", status=2)
+    message = numpy_1("-m", "adaptiveface", "convert", tmp_path / "bad.mkv", "--out", tmp_path / "out", status=2)
     assert "bad.mkv: not an Azure Kinect recording with depth" in message and message.count("\n") == 1
-    message = run("-m", "adaptiveface", "record", "azure", "--out", tmp_path / "out", status=2)
+    message = numpy_1("-m", "adaptiveface", "record", "azure", "--out", tmp_path / "out", status=2)
     assert "none is connected" in message and message.count("\n") == 1

@@ -82,19 +82,42 @@ def _azure_file(path: Path) -> LiveSensor:
     return LiveSensor(lambda: AzureDriver(path=path), reconnect=False)
 
 
+def _orbbec(serial: str) -> LiveSensor:
+    from .orbbec import OrbbecDriver
+
+    return LiveSensor(lambda: OrbbecDriver(serial))
+
+
+def _oak(identifier: str) -> LiveSensor:
+    from .oak import OakDriver
+
+    return LiveSensor(lambda: OakDriver(identifier), open_timeout=60.0)  # the device boots
+
+
+def _kinect2(argument: str) -> LiveSensor:
+    from .kinect2 import Kinect2Driver
+
+    if argument:
+        raise ParameterError(f"kinect2:{argument}: the SDK supports one sensor, which has no number; use 'kinect2'")
+    return LiveSensor(Kinect2Driver)
+
+
 _KINDS = {
     "synthetic": _synthetic,
     "realsense": _realsense,
     "record3d": _record3d,
     "openni2": _openni2,
     "azure": _azure,
+    "orbbec": _orbbec,
+    "oak": _oak,
+    "kinect2": _kinect2,
     "webcam": _webcam,
 }
 _REALSENSE_FILES = (".db3", ".bag")
 _AZURE_FILES = (".mkv",)
 POSSIBLE = (
     "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
-    "'openni2[:URI or INDEX]', 'azure[:INDEX]', "
+    "'openni2[:URI or INDEX]', 'azure[:INDEX]', 'orbbec[:SERIAL]', 'oak[:ID]', 'kinect2', "
     "'webcam[:INDEX|http://...][,fov=DEGREES][,mirrored]' (colour only), "
     "or the path of a recording (folder, .r3d, .db3, .bag, .oni, .mkv; colour only: .mp4, .mov, .avi, .webm)"
 )
@@ -103,7 +126,8 @@ POSSIBLE = (
 def list_sensors() -> list[SensorInfo]:
     """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
     synthetic = SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")
-    return [synthetic, *_realsense_cameras(), *_phones(), *_openni2_cameras(), *_azure_cameras(), *_webcams()]
+    depth = [*_realsense_cameras(), *_phones(), *_openni2_cameras(), *_azure_cameras(), *_others()]
+    return [synthetic, *depth, *_webcams()]
 
 
 def _webcams() -> list[SensorInfo]:
@@ -141,16 +165,28 @@ def _azure_cameras() -> list[SensorInfo]:
     return _connected("azure", "Azure Kinect", connected_cameras)
 
 
-def _connected(kind: str, description: str, find: Callable[[], list[tuple[str, str]]]) -> list[SensorInfo]:
+def _others() -> list[SensorInfo]:
+    from . import kinect2, oak, orbbec
+
+    return [
+        *_connected("orbbec", "Orbbec", orbbec.connected_cameras),
+        *_connected("oak", "Luxonis OAK-D", oak.connected_cameras),
+        *_connected("kinect2", "Kinect v2", kinect2.connected_sensors, empty="known when it is opened"),
+    ]
+
+
+def _connected(
+    kind: str, description: str, find: Callable[[], list[tuple[str, str]]], empty: str = "not connected"
+) -> list[SensorInfo]:
     """One entry per device that ``find`` returns as (serial number, name), or one that says why there is none."""
     try:
         devices = find()
     except DriverMissingError as error:
         return [SensorInfo(kind, description, str(error))]
-    except RuntimeError as error:  # no access to the USB bus
+    except Exception as error:  # noqa: BLE001 - whatever a vendor's library raises, e.g. without access to USB
         return [SensorInfo(kind, description, f"the driver failed ({error})")]
     if not devices:
-        return [SensorInfo(kind, description, "not connected")]
+        return [SensorInfo(kind, description, empty)]
     return [SensorInfo(f"{kind}:{serial}", name) for serial, name in devices]
 
 

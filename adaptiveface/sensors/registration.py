@@ -62,6 +62,10 @@ class Registration:
         nearest, between = (cv2.remap(raw, *self._maps, how) for how in (cv2.INTER_NEAREST, cv2.INTER_LINEAR))
         return np.where(cv2.remap(smooth, *self._maps, cv2.INTER_NEAREST) > 0, between, nearest)
 
+    def image(self, picture: np.ndarray) -> np.ndarray:
+        """``picture`` (H, W, 3) of the depth camera itself, without its distortion."""
+        return picture if self._maps is None else cv2.remap(picture, *self._maps, cv2.INTER_LINEAR)
+
     def colour(self, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """(H, W, 3) uint8: what ``picture`` (h, w, 3) of the colour camera shows at each pixel of ``depth``.
 
