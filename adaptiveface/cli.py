@@ -207,7 +207,7 @@ def run_track(args: argparse.Namespace) -> int:
     result.save(args.out)
     print(result.summary())
     if args.report:
-        _report(result, source, actor, args.report)
+        _report(result, source, actor, args.report, still_frames=0 if args.actor else args.neutral_frames)
     return 0
 
 
@@ -220,6 +220,7 @@ def run_demo(args: argparse.Namespace) -> int:
 
         load_character(args.character)  # a wrong name ends here, not after the tracking
     from .evaluation import ErrorCollector
+    from .evaluation.coefficients import measure_coefficients
     from .pipeline import capture_from, track_source
     from .synthetic.sensor import SyntheticSensor
 
@@ -233,7 +234,9 @@ def run_demo(args: argparse.Namespace) -> int:
     evaluation = collector.finish()
     print(result.summary())
     print(evaluation.table())
-    _report(result, sensor, actor, args.out, evaluation)
+    known = measure_coefficients(sensor, actor, parameters, progress=True)
+    _report(result, sensor, actor, args.out, evaluation=evaluation, known=known, still_frames=sensor.neutral_frames,
+            character=args.character or "hag")  # fmt: skip
     if args.character:
         from .export.command import write_demo_character
 
@@ -300,12 +303,12 @@ def run_bench(args: argparse.Namespace) -> int:
     return run(args)
 
 
-def _report(result, source, actor, folder: Path, evaluation=None) -> None:
+def _report(result, source, actor, folder: Path, **options) -> None:
     from .report import write_report
 
     truth = source if hasattr(source, "ground_truth") else None
     recorded = getattr(source, "path", Path("/nowhere")) / "ground_truth.npz"
     if truth is None and recorded.is_file():
         truth = recorded
-    path = write_report(result, source, actor, folder, truth, evaluation=evaluation, correctives=result.correctives)
+    path = write_report(result, source, actor, folder, truth, correctives=result.correctives, **options)
     print(f"report: {path}")

@@ -19,13 +19,12 @@ import argparse
 import numpy as np
 
 from adaptiveface.blendshapes import deformation_transfer
+from adaptiveface.evaluation.coefficients import compare_coefficients, known_performance
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.pipeline import capture_from, track_source
-from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.retargeting.correctives import transferred_correctives
-from adaptiveface.retargeting.resolve import SparseResolve
 from adaptiveface.retargeting.retarget import driving_coefficients, head_frames
-from adaptiveface.retargeting.smoothing import OneEuro, jitter, step_lag
+from adaptiveface.retargeting.smoothing import SmoothingCost, smoothing_costs
 from adaptiveface.synthetic.performer import Performer
 from adaptiveface.synthetic.sensor import SyntheticSensor
 
@@ -42,83 +41,61 @@ class SameStyle(Performer):
         super()._draw_skin(rng, detail, variation)
 
 
-def known_coefficients(sensor: SyntheticSensor) -> np.ndarray:
-    """(F, 23) what the sensor's script amounts to; the script is replaced by exactly that."""
-    model = sensor.performer.model
-    table = arkit_weights(model.generic_names, model)
-    columns = [ARKIT_NAMES.index(name) for name in model.expression_names]
-    curves = np.zeros((len(sensor.script), len(ARKIT_NAMES)))
-    curves[:, columns] = sensor.script
-    x = table.coefficients(curves)
-    sensor.script = x @ model.generic_weights
-    return x
-
-
 def performances(seed: int, frames: int, noise: str):
     """The performer's own performance and one of known coefficients, with one captured actor: (sensor, result) each."""
     sensor = SyntheticSensor(seed, noise, neutral_frames=24, frames=frames, repeats=1, colour=False)
     actor = capture_from(sensor, None, 24)
-    known = SyntheticSensor(seed, noise, neutral_frames=24, frames=frames, repeats=1, colour=False,
-                            performer=sensor.performer)  # fmt: skip
-    truth = known_coefficients(known)
+    known, truth = known_performance(sensor, frames)
     return actor, (sensor, track_source(sensor, actor)), (known, track_source(known, actor)), truth
 
 
 def coefficient_errors(sensor, truth, result, actor) -> dict[str, float]:
     """Root mean square error over the performance: initial, re-solved by the plain fit, re-solved sparsely."""
-    part = slice(sensor.neutral_frames, None)
-    plain = SparseResolve(actor, result.expression_names, sparsity=0.0)
-    solved = {
-        "initial": result.coefficients_initial,
-        "plain fit to v4": np.stack([plain(v4, x) for v4, x in zip(head_frames(result), result.coefficients, strict=True)]),
-        "re-solved": result.coefficients,
-    }
-    return {name: float(np.sqrt(np.mean((x[part] - truth) ** 2))) for name, x in solved.items()}
+    compared = compare_coefficients(sensor, truth, result, actor)
+    return {name: compared.rms(name) for name in compared.found}
 
 
 def transfer_errors(sensor, actor, result, step: int = 3) -> dict[str, tuple[float, float]]:
     """Active share and rms error (mm) on B: coefficients alone, with transferred v4 - v1, and with A's true frames.
 
-    The active share is the error over the vertices that truly move by more than 2 mm, as a share of their motion.
+    The active share is the error over the vertices that truly move by more than 2 mm, as a share of their motion. The
+    last row is v4 on A itself: what the tracker sees of the motion bounds what can be carried over.
     """
     model, a = sensor.performer.model, sensor.performer
     other = np.clip(np.random.default_rng([sensor.seed, 7]).normal(0, 0.9, len(a.identity)), -2.2, 2.2)
     b = SameStyle(sensor.seed, other)
     frames = np.arange(0, sensor.frames, step)
-    truth = np.stack([b.shape(sensor.script[f]) for f in frames])
+    truth = np.stack([b.shape(sensor.script[f]) for f in frames]) - b.neutral
+    source = np.stack([a.shape(sensor.script[f]) for f in frames])
     blendshapes = deformation_transfer(model.mean, b.neutral, model.triangles, model.generic_expressions)
+    own = deformation_transfer(model.mean, a.neutral, model.triangles, model.generic_expressions)
     rows = sensor.neutral_frames + frames
     x = driving_coefficients(result, "resolved", actor)[rows]
-    coefficients = b.neutral + np.tensordot(x, blendshapes, axes=1)
-    v1 = actor.neutral + np.tensordot(x, actor.blendshapes, axes=1)
-    v4 = head_frames(result)[rows]
-    out = {"coefficients alone": coefficients}
-    added = transferred_correctives(actor.neutral, v1, v4, b.neutral, model.triangles)
-    out["with tracked v4 - v1"] = coefficients + added
-    true = np.stack([a.shape(sensor.script[f]) for f in frames])
-    exact = a.neutral + np.tensordot(x, deformation_transfer(model.mean, a.neutral, model.triangles,
-                                                             model.generic_expressions), axes=1)  # fmt: skip
-    added = transferred_correctives(a.neutral, exact, true, b.neutral, model.triangles)
-    out["with A's true frames"] = coefficients + added
-    front = actor.frontal
-    motion = np.linalg.norm(truth - b.neutral, axis=2)[:, front]
-    active = motion > 2.0
-    table = {}
-    for name, shapes in out.items():
-        error = np.linalg.norm(shapes - truth, axis=2)[:, front]
-        table[name] = float(error[active].sum() / motion[active].sum()), float(np.sqrt(np.mean(error**2)))
-    return table
+    alone = np.tensordot(x, blendshapes, axes=1)
+    v1, v4 = actor.neutral + np.tensordot(x, actor.blendshapes, axes=1), head_frames(result)[rows]
+    exact = a.neutral + np.tensordot(x, own, axes=1)
+    tracked = transferred_correctives(actor.neutral, v1, v4, b.neutral, model.triangles)
+    true = transferred_correctives(a.neutral, exact, source, b.neutral, model.triangles)
+    return {
+        "coefficients alone": motion_errors(alone, truth, actor.frontal),
+        "with tracked v4 - v1": motion_errors(alone + tracked, truth, actor.frontal),
+        "with A's true frames": motion_errors(alone + true, truth, actor.frontal),
+        "v1 on A itself": motion_errors(v1 - actor.neutral, source - a.neutral, actor.frontal),
+        "v4 on A itself": motion_errors(v4 - actor.neutral, source - a.neutral, actor.frontal),
+    }
 
 
-def smoothing_rows(sensor, result, actor) -> list[tuple[str, float, float]]:
-    """Filter, jitter of the coefficients in the neutral frames, lag of a step in ms."""
+def motion_errors(motion: np.ndarray, truth: np.ndarray, front: np.ndarray) -> tuple[float, float]:
+    """Active share and rms error, mm, of displacements (F, N, 3) from the neutral."""
+    error, size = (np.linalg.norm(field, axis=2)[:, front] for field in (motion - truth, truth))
+    active = size > 2.0
+    return float(error[active].sum() / size[active].sum()), float(np.sqrt(np.mean(error**2)))
+
+
+def smoothing_rows(sensor, result, actor) -> tuple[SmoothingCost, ...]:
+    """Jitter of the coefficients in the neutral frames, and lag of a step, of every filter."""
     still = driving_coefficients(result, "resolved", actor)[2 : sensor.neutral_frames]
-    times = np.arange(len(still)) / sensor.fps
-    rows = [("none", jitter(still), 0.0)]
-    for cutoff, beta in ((2.0, 3.0), (1.0, 1.0), (1.0, 5.0)):
-        euro = OneEuro(cutoff, beta)
-        rows.append((f"one-euro {cutoff:g} Hz, beta {beta:g}", jitter(euro.apply(still, times)), step_lag(euro.apply)))
-    return rows
+    return smoothing_costs(still, sensor.fps)
 
 
 def _joined(values: dict[str, float]) -> str:
@@ -146,8 +123,8 @@ def main() -> None:
     for name in shares[0]:
         share, rms = np.mean([table[name] for table in shares], axis=0)
         print(f"target, {name}: active share {share:.3f}, rms {rms:.2f} mm")
-    for k, (name, _, lag) in enumerate(smooth[0]):
-        print(f"smoothing {name}: jitter {np.mean([rows[k][1] for rows in smooth]):.5f}, lag {lag:.0f} ms")
+    for k, row in enumerate(smooth[0]):
+        print(f"smoothing {row.name}: jitter {np.mean([rows[k].jitter for rows in smooth]):.5f}, lag {row.lag:.0f} ms")
 
 
 if __name__ == "__main__":

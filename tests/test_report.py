@@ -12,11 +12,13 @@ from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, re
 
 from adaptiveface import evaluation as ev
 from adaptiveface.errors import AdaptiveFaceError, FrameError
+from adaptiveface.evaluation.coefficients import INITIAL, PLAIN, RESOLVED, KnownCoefficients
 from adaptiveface.evaluation.run import STAGES
 from adaptiveface.mesh import transform_points
 from adaptiveface.parameters import Parameters
 from adaptiveface.rendering import picture
 from adaptiveface.report import RunRecord, write_report
+from adaptiveface.retargeting.smoothing import COMPARED
 from adaptiveface.tracking.tracker import FaceTracker
 
 
@@ -87,7 +89,7 @@ def test_report_holds_its_parts_and_nothing_from_outside(run, tmp_path):
     )  # fmt: skip
     assert path == tmp_path / "new" / "report.html"
     html = path.read_text(encoding="utf-8")
-    for title in ("The tracked face", "The personal rig", "Animation", "Learning on the fly",
+    for title in ("The tracked face", "The personal rig", "Animation", "Retargeting", "Learning on the fly",
                   "Errors against the truth", "Time per stage", "Parameters"):  # fmt: skip
         assert f"<h2>{title}</h2>" in html
     page = Resources()
@@ -103,6 +105,36 @@ def test_report_holds_its_parts_and_nothing_from_outside(run, tmp_path):
     assert re.search(r"<td class=changed>0.2</td>", html) and "1 changed from the default" in html
     repeat = evaluation.summary("v4", ev.REPEAT)
     assert f"<b>{repeat['surface_p95']:.2f} mm</b>" in html
+
+
+def test_retargeting_section_holds_figures_pictures_and_costs(run, tmp_path):
+    source, frames = run
+    names = source.actor.expression_names
+    truth = np.clip(np.random.default_rng(1).normal(0.2, 0.3, (20, 23)), 0, 1)
+    found = {INITIAL: truth + 0.1, PLAIN: truth - 0.12, RESOLVED: truth + 0.05}
+    known = KnownCoefficients(names, np.arange(20) / 30, truth, found)
+    still = [frames[0]] * 12 + frames
+    html = write_report(still, None, source.actor, tmp_path, known=known, still_frames=12, character="ogre").read_text()
+    start = html.index("<h2>Retargeting</h2>")
+    part = html[start : html.index("<h2>", start + 5)]
+    assert re.search(r"initial</td><td>0.1000.*plain fit to v4</td><td>0.1200.*re-solved</td><td>0.0500", part)
+    assert "is 50% lower" in part and "23 of 23 expressions" in part
+    assert part.count("<svg") == 3  # errors by expression, curves against the truth, step responses
+    for name, lag in (("none", "0 ms"), *((name, None) for name in COMPARED)):
+        row = re.search(rf"<td>{re.escape(name)}</td><td>([\d.]+)</td><td>([^<]+)</td>", part)
+        assert row and (lag is None or row[2] == lag), name
+    for text in ("initial", "re-solved", "re-solved, with correctives"):
+        assert f'alt="ogre: {text}"' in part
+    images = [np.asarray(Image.open(io.BytesIO(base64.b64decode(data))), int)
+              for data in re.findall(r"webp;base64,([^\"]+)", part)]  # fmt: skip
+    assert len(images) % 4 == 0 and all((image.std(axis=(0, 1)) > 10).all() for image in images)
+    assert np.abs(images[1] - images[3]).max() > 20  # initial and with correctives are different pictures
+
+
+def test_costs_of_smoothing_are_left_out_where_no_still_face_is_known(run, tmp_path):
+    html = write_report(run[1], None, run[0].actor, tmp_path).read_text(encoding="utf-8")
+    assert "Frames where the two differ" in html
+    assert "jitter against lag" not in html and "known coefficients" not in html
 
 
 def test_pictures_are_images_and_the_preview_moves(run, tmp_path):

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from ..evaluation import ErrorCollector, Evaluation, GroundTruth
-from . import page, scenes, sections
+from ..retargeting.character import load_character
+from . import page, retargeting, scenes, sections
 from .context import Context, time_spans
 from .record import RunRecord
 
@@ -21,7 +22,7 @@ MAX_SCORED = 120
 
 def write_report(
     result, source, actor, out_dir: str | os.PathLike, truth=None, *, evaluation: Evaluation | None = None,
-    correctives: np.ndarray | None = None, parameters=None,
+    correctives: np.ndarray | None = None, parameters=None, known=None, still_frames: int = 0, character: str = "hag",
 ) -> Path:  # fmt: skip
     """Write ``out_dir/report.html`` and return its path.
 
@@ -30,7 +31,8 @@ def write_report(
     actor: the rig; truth: a sensor with ``ground_truth(i)``, the path of a ``ground_truth.npz``, or None; evaluation:
     errors already scored (otherwise up to ``MAX_SCORED`` frames are scored here); correctives (K, N, 3) or (3n, K): the
     corrective shapes at the end, over all or over the frontal vertices; parameters: of the run, where the result does
-    not say.
+    not say; known: :class:`~adaptiveface.evaluation.coefficients.KnownCoefficients`, or None; still_frames: how many of
+    the leading frames show the neutral face, for the jitter; character: whom the section on retargeting shows.
 
     Raises :class:`~adaptiveface.errors.AdaptiveFaceError` for an empty run, and its subclass ``FileFormatError`` for a
     truth that cannot be read.
@@ -46,6 +48,7 @@ def write_report(
     body = [
         sections.heading(name, record.colour_only), scenes.preview(context), sections.tiles(context), sections.losses(context),
         scenes.tracked_frames(context), scenes.rig(context), sections.coefficients(context),
+        retargeting.section(context, load_character(character), known, still_frames),
         sections.learning(context, _whole_mesh(correctives, actor)), sections.errors(context, note),
         sections.timings(context), sections.parameters(context), sections.footer(),
     ]  # fmt: skip

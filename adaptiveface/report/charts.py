@@ -10,6 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..bench.paper import PAPER_MS
+from ..evaluation.coefficients import INITIAL, RESOLVED, KnownCoefficients
+from ..retargeting.smoothing import COMPARED, step_response
 from ..tracking.types import SampleState
 from .context import Spans
 from .page import INK, inline_svg
@@ -183,3 +185,54 @@ def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> str:
             axis.legend(loc="upper left", ncols=3)
         _mark_spans(surface, spans)
         return _svg(figure, "errors")
+
+
+def coefficient_errors(known: KnownCoefficients) -> str:
+    """Root mean square error of every expression, initial beside re-solved."""
+    with matplotlib.rc_context(_STYLE):
+        initial, resolved = (known.rms_by_expression(name) for name in (INITIAL, RESOLVED))
+        order = np.argsort(-initial)
+        figure, (axis,) = _figure(3.4)
+        x = np.arange(len(order))
+        axis.bar(x - 0.2, initial[order], width=0.38, color=ORANGE, label=f"initial ({known.rms(INITIAL):.3f} over all)")
+        label = f"re-solved ({known.rms(RESOLVED):.3f} over all)"
+        axis.bar(x + 0.2, resolved[order], width=0.38, color=BLUE, label=label)
+        axis.set_xticks(x, [known.names[k] for k in order], rotation=40, ha="right", rotation_mode="anchor", fontsize=8)
+        axis.set_xlim(-0.7, len(order) - 0.3)
+        axis.set_ylabel("rms error of the coefficient")
+        axis.grid(axis="x", visible=False)
+        axis.legend(loc="upper right")
+        return _svg(figure, "coefficient-errors")
+
+
+def known_curves(known: KnownCoefficients, count: int = 4) -> str:
+    """The expressions that move most over time: the truth, initial and re-solved."""
+    with matplotlib.rc_context(_STYLE):
+        chosen = sorted(np.argsort(-known.truth.std(axis=0))[:count])
+        figure, axes = _figure(1.15 * len(chosen) + 0.6, rows=len(chosen))
+        for axis, k in zip(axes, chosen, strict=True):
+            axis.plot(known.timestamps, known.truth[:, k], color=GREY, linewidth=3.2, alpha=0.6, label="truth")
+            axis.plot(known.timestamps, known.found[INITIAL][:, k], color=ORANGE, label=INITIAL)
+            axis.plot(known.timestamps, known.found[RESOLVED][:, k], color=BLUE, label=RESOLVED)
+            axis.set_title(known.names[k], fontsize=9)
+            axis.set_ylim(-0.05, 1.1)
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1.0), ncols=3)
+        axes[-1].set_xlabel("time, s")
+        axes[-1].set_xlim(known.timestamps[0], known.timestamps[-1] + 1e-6)
+        return _svg(figure, "known-curves")
+
+
+def step_responses(fps: float) -> str:
+    """What every smoothing makes of a step."""
+    with matplotlib.rc_context(_STYLE):
+        figure, (axis,) = _figure(2.7)
+        for (name, smoothing), colour in zip(COMPARED.items(), (BLUE, SKY, ORANGE, VERMILLION), strict=True):
+            times, step, out = step_response(smoothing.apply, fps)
+            axis.plot(1e3 * times, out, color=colour, label=name, marker="o", markersize=2.5)
+        axis.step(1e3 * times, step, where="mid", color=GREY, linewidth=1, linestyle=(0, (4, 3)), label="the step")
+        axis.set_xlim(-150, 900)
+        axis.set_ylim(-0.08, 1.3)
+        axis.set_xlabel("time after the step, ms")
+        axis.set_ylabel("coefficient")
+        axis.legend(loc="lower right")
+        return _svg(figure, "steps")

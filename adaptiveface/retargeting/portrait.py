@@ -17,7 +17,7 @@ _LIGHT = Light(ambient=0.34, head=0.40, key=0.36, specular=0.10)
 
 def portrait(
     character: Character, vertices: np.ndarray, size: int = 480, rotation: np.ndarray | None = None, yaw: float = 0.0,
-    rays: int = 2,
+    rays: int = 2, background: tuple[int, int, int] = (255, 255, 255),
 ) -> np.ndarray:
     """(size, size, 3) uint8: ``vertices`` (V, 3) of a character's head frame, seen from the front.
 
@@ -33,7 +33,7 @@ def portrait(
     camera = Camera(fine, fine, focal, focal, (fine - 1) / 2, (fine - 1) / 2)
     points = (vertices - middle) @ turn.T + [0.0, 0.0, distance]
     colours = SKIN if character.colours is None else character.colours.astype(float)
-    image = picture(camera, points, character.triangles, colours, light=_LIGHT)
+    image = picture(camera, points, character.triangles, colours, light=_LIGHT, background=background)
     if rays == 1:
         return image
     image = image.astype(np.uint32).reshape(size, rays, size, rays, 3)

@@ -1,0 +1,111 @@
+"""The report's section on section 6 of the paper: which coefficients drive another face, and what smoothing costs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..evaluation.coefficients import INITIAL, PLAIN, RESOLVED, KnownCoefficients
+from ..mesh import transform_points
+from ..retargeting.arkit import arkit_weights
+from ..retargeting.character import Character
+from ..retargeting.correctives import transferred_correctives
+from ..retargeting.portrait import portrait
+from ..retargeting.smoothing import smoothing_costs
+from . import charts, page, pictures
+from .context import Context
+
+_BACKDROP, _SIZE, _YAW = (52, 58, 68), 230, 14.0
+#: The first frames of a run still find their pose and coefficients: they do not count as jitter.
+_SETTLING, _FEWEST_STILL = 2, 8
+
+
+def section(context: Context, character: Character, known: KnownCoefficients | None, still_frames: int) -> str:
+    """Figure 8 on a character, the error of the coefficients where they are known, jitter and lag of each smoothing.
+
+    ``still_frames``: how many leading frames show a still face (0: none that is known of).
+    """
+    if not context.record.tracked.any():
+        return ""
+    return (
+        "<h2>Retargeting</h2><p>What the performance looks like on another face (section 6): driven by the coefficients "
+        "of the initial fit to the depth map, and by those solved once more from the final mesh.</p>"
+        f"{_faces(context, character)}{_errors(known)}{_smoothing(context, still_frames)}"
+    )
+
+
+def _faces(context: Context, character: Character, count: int = 3) -> str:
+    record, actor = context.record, context.actor
+    candidates = record.expressive_frames(3 * count, spacing=6)
+    differ = np.abs(record.coefficients - record.coefficients_initial).sum(axis=1)
+    chosen = sorted(sorted(candidates, key=lambda k: -differ[k])[:count])
+    portraits = pictures.Portraits(actor, (_SIZE, _SIZE), whole=True)
+    rows = []
+    for k in chosen:
+        v4 = transform_points(np.linalg.inv(record.rigid[k].astype(float)), record.vertices[k].astype(float))
+        mesh = pictures.on_backdrop(portraits.draw(v4, turn=_YAW), _BACKDROP)
+        images = [(mesh, f"actor, {record.timestamps[k]:.2f} s")]
+        for shape, text in _driven(record, actor, character, k, v4):
+            images.append((portrait(character, shape, _SIZE, yaw=_YAW, background=_BACKDROP), text))
+        cells = "".join(page.figure(page.image(pixels, f"{character.name}: {text}"), text) for pixels, text in images)
+        rows.append(f'<div class="row">{cells}</div>')
+    with_correctives = (
+        "; last, with the part of the final mesh that the blendshapes cannot express (v4 - v1) carried over by "
+        "deformation transfer, which section 8 of the paper proposes"
+        if character.shares_topology(actor.triangles) else ""
+    )  # fmt: skip
+    return (
+        f'<h3>Frames where the two differ, on the {page.escape(character.name)}</h3><p class="soft">As in the paper\'s '
+        f"figure 8: the final mesh of the actor, the initial coefficients, the re-solved ones{with_correctives}.</p>"
+        f'<div class="rows">{"".join(rows)}</div>'
+    )
+
+
+def _driven(record, actor, character: Character, k: int, v4: np.ndarray) -> list[tuple[np.ndarray, str]]:
+    """(V, 3) of the character and a caption: initial, re-solved and, on the actor's topology, with correctives."""
+    x = record.coefficients[k]
+    table = arkit_weights(actor.expression_names[: len(x)])
+    initial, resolved = character.shape(character.weights(table.curves(np.stack([record.coefficients_initial[k], x]))))
+    out = [(initial, INITIAL), (resolved, RESOLVED)]
+    if character.shares_topology(actor.triangles):
+        v1 = actor.neutral + np.tensordot(x, actor.blendshapes[: len(x)], axes=1)
+        rich, skin = resolved.copy(), character.neutral[: len(v1)]
+        rich[: len(v1)] += transferred_correctives(actor.neutral, v1[None], v4[None], skin, actor.triangles)[0]
+        out.append((rich, "re-solved, with correctives"))
+    return out
+
+
+def _errors(known: KnownCoefficients | None) -> str:
+    if known is None:
+        return ""
+    initial, resolved = known.rms(INITIAL), known.rms(RESOLVED)
+    better = int((known.rms_by_expression(RESOLVED) < known.rms_by_expression(INITIAL)).sum())
+    change = f"{abs(1 - resolved / initial):.0%} {'lower' if resolved < initial else 'higher'}"
+    rows = [[name, f"{known.rms(name):.4f}"] for name in (INITIAL, PLAIN, RESOLVED)]
+    return (
+        "<h3>Against known coefficients</h3><p>The performer once more, now with a script of nothing but coefficients, so "
+        f"that the truth is known for every one of {len(known.truth)} frames. The error (root mean square over frames and "
+        f"expressions) of the re-solved coefficients is {change} than that of the initial ones: {resolved:.3f} instead of "
+        f"{initial:.3f}; {better} of {len(known.names)} expressions come out better. The plain fit is the paper's re-solve; "
+        "ours prefers few expressions.</p>"
+        f'{page.table(("coefficients", "rms error"), rows, strong=(2,))}'
+        f'<div class="chart">{charts.coefficient_errors(known)}</div>'
+        f'<div class="chart">{charts.known_curves(known)}</div>'
+    )
+
+
+def _smoothing(context: Context, still_frames: int) -> str:
+    record = context.record
+    still = [k for k in range(_SETTLING, min(still_frames, len(record))) if record.tracked[k]]
+    if len(still) < _FEWEST_STILL:
+        return ""
+    steps = np.diff(record.timestamps)
+    fps = 1 / float(np.median(steps[steps > 1e-6])) if (steps > 1e-6).any() else 30.0
+    costs = smoothing_costs(record.coefficients[still].astype(float), fps)
+    rows = [[c.name, f"{c.jitter:.4f}", f"{c.lag:.0f} ms", f"{c.overshoot:.0%}"] for c in costs]
+    return (
+        "<h3>Smoothing: jitter against lag</h3><p>Jitter: standard deviation of the re-solved coefficients over the "
+        f"{len(still)} frames of the still face at the beginning. Lag: how much later half of a step is passed. Overshoot: "
+        "by how much of its height the step is exceeded.</p>"
+        f'{page.table(("filter", "jitter", "lag", "overshoot"), rows)}'
+        f'<div class="chart">{charts.step_responses(fps)}</div>'
+    )
