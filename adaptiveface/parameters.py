@@ -264,6 +264,9 @@ class AdaptivePcaParameters(_Stage):
     min_coverage: float = parameter(
         0.5, "share of the frontal vertices that must have depth for a frame to be learned", low=0, high=1
     )
+    max_occluded: float = parameter(
+        0.05, "share of the frontal vertices that something in front may hide in a frame to be learned", low=0, high=1
+    )
 
 
 @dataclass(frozen=True)

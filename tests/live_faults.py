@@ -48,6 +48,7 @@ def small_frame(sequence: int, depth: float = 500.0) -> RawFrame:
 
 
 def raw(frame: RgbdFrame, sequence: int) -> RawFrame:
+    """``frame`` as a driver delivers it at 30 frames a second."""
     return raw_frame(frame, sequence, sequence / 30.0)
 
 
@@ -70,20 +71,34 @@ def half_size(frame: RgbdFrame) -> RgbdFrame:
     return dataclasses.replace(frame, depth=frame.depth[::2, ::2], camera=camera, features=features)
 
 
-def hand_over_mouth(frame: RgbdFrame) -> RgbdFrame:
-    """A flat hand 40 mm in front of the lips; the lip features are not seen."""
+def hand_over_mouth(frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+    """A flat hand 15 to 80 mm in front of the lips, tilted and shifted a little.
+
+    The lips' features are not seen, or guessed some pixels off with little confidence.
+    """
     pixels, confidence = frame.features.pixels.copy(), frame.features.confidence.copy()
     (u0, v0), (u1, v1) = np.nanmin(pixels[20:], axis=0), np.nanmax(pixels[20:], axis=0)
     depth = frame.depth.copy()
-    rows, columns = slice(int(v0) - 25, int(v1) + 25), slice(int(u0) - 25, int(u1) + 25)
+    du, dv = rng.integers(-12, 13, 2)
+    rows = slice(int(v0) - 25 + int(dv), int(v1) + 25 + int(dv))
+    columns = slice(int(u0) - 25 + int(du), int(u1) + 25 + int(du))
     mouth = depth[rows, columns]
-    depth[rows, columns] = np.median(mouth[mouth > 0]) - 40.0
-    pixels[20:], confidence[20:] = np.nan, 0.0
+    tilt = rng.uniform(-0.2, 0.2) * (np.arange(mouth.shape[1]) - mouth.shape[1] / 2)
+    depth[rows, columns] = np.median(mouth[mouth > 0]) - rng.uniform(15.0, 80.0) + tilt
+    if rng.random() < 0.5:
+        pixels[20:], confidence[20:] = np.nan, 0.0
+    else:
+        pixels[20:] += rng.normal(0.0, 4.0, 2)
+        confidence[20:] = np.where(confidence[20:] > 0, 0.1, 0.0)
     return dataclasses.replace(frame, depth=depth, features=Features2D(pixels, confidence))
 
 
-def second_face(frame: RgbdFrame) -> RgbdFrame:
-    """The same face once more, 250 pixels to the side and 50 mm nearer."""
-    other = np.roll(frame.depth, 250, axis=1)
-    other[other > 0] -= 50.0
-    return dataclasses.replace(frame, depth=np.where(other > 0, other, frame.depth))
+def second_face(frame: RgbdFrame, aside: int, nearer: float) -> RgbdFrame:
+    """The same face once more, ``aside`` pixels to the side and ``nearer`` mm nearer; never in front of the first."""
+    other = np.roll(frame.depth, aside, axis=1)
+    if aside > 0:
+        other[:, :aside] = 0
+    else:
+        other[:, aside:] = 0
+    other[other > 0] -= nearer
+    return dataclasses.replace(frame, depth=np.where(frame.depth > 0, frame.depth, other))

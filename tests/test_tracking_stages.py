@@ -1,5 +1,7 @@
 """Each stage against truth or against an independent solver."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -10,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from adaptiveface.mesh import cotangent_laplacian, transform_points, vertex_normals
 from adaptiveface.parameters import BlendshapeParameters, DepthParameters, KalmanParameters, RigidParameters
 from adaptiveface.tracking.bounded import bounded_least_squares
-from adaptiveface.tracking.depth_surface import Correspondences, depth_surface, find_correspondences
+from adaptiveface.tracking.depth_surface import Correspondences, depth_surface, find_correspondences, occluded_share
 from adaptiveface.tracking.detection import pose_from_features
 from adaptiveface.tracking.expression import BlendshapeFit
 from adaptiveface.tracking.feature_rows import feature_rows
@@ -68,6 +70,21 @@ def test_a_shifted_plane_gives_its_distance():
 
 
 # ---- rigid motion ---------------------------------------------------------------------------------------------------
+def test_a_hand_in_front_is_an_occluded_share_and_the_own_nose_is_none(actor):
+    for turn in (0.0, 0.3, 0.6):
+        pose = head_pose((0.0, turn, 0.0))
+        frame = render_frame(actor, actor.neutral, pose)
+        points = transform_points(pose, actor.neutral)[actor.frontal]
+        normals = (vertex_normals(actor.neutral, actor.triangles) @ pose[:3, :3].T)[actor.frontal]
+        assert occluded_share(whole_surface(frame), points, normals, 10.0) < 0.02
+    depth, lips = frame.depth.copy(), frame.features.pixels[20:].mean(axis=0).round().astype(int)
+    depth[lips[1] - 30 : lips[1] + 30, lips[0] - 40 : lips[0] + 40] = points[:, 2].min() - 40.0
+    covered = occluded_share(whole_surface(dataclasses.replace(frame, depth=depth)), points, normals, 10.0)
+    assert 0.1 < covered < 0.6
+    empty = whole_surface(dataclasses.replace(frame, depth=np.zeros_like(depth)))
+    assert occluded_share(empty, points, normals, 10.0) == 0.0
+
+
 def test_point_to_plane_step_equals_numpy_least_squares():
     rng = np.random.default_rng(3)
     points, normals = 50 * rng.normal(size=(200, 3)), rng.normal(size=(200, 3))

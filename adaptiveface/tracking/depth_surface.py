@@ -192,3 +192,20 @@ def find_correspondences(
         planes,
     )
     return Correspondences(distances, planes, weights, in_camera)
+
+
+def occluded_share(surface: DepthSurface, points: np.ndarray, normals: np.ndarray, margin: float) -> float:
+    """Share of the measured points (n, 3) that something more than ``margin`` mm in front of them hides: a hand, hair.
+
+    ``points`` and unit ``normals`` (n, 3) in the camera frame; what does not face the camera is not asked, since the
+    face hides that itself. 0 where nothing is measured.
+    """
+    facing = -np.einsum("nd,nd->n", normals, points) > 0.3 * np.linalg.norm(points, axis=1)
+    front = points[facing & (points[:, 2] > 1.0)]
+    pixels = np.rint(surface.camera.project(front) - surface.origin).astype(int)
+    height, width = surface.valid.shape
+    inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+    u, v = pixels[inside].T
+    measured = surface.valid[v, u] > 0
+    hidden = measured & (surface.depth[v, u] < front[inside, 2] - margin)
+    return float(hidden.sum() / max(measured.sum(), 1))

@@ -9,7 +9,6 @@ from .adaptive_pca import AdaptiveModel
 from .expression import BlendshapeFit
 from .kalman import CoefficientFilter
 from .laplacian import LaplacianDeformation
-from .rigid import RigidTracker
 from .tracker import FaceTracker
 
 
@@ -33,10 +32,10 @@ def retuned(tracker: FaceTracker, parameters: Parameters, relearn: bool = True) 
     old = tracker.parameters
     if old.blendshapes.A == parameters.blendshapes.A:
         out = snapshot(tracker)
+        out.parameters = parameters
         _retune_stages(out, old, parameters)
     else:
         out = _with_expressions(tracker, parameters)
-    out.parameters = parameters
     if relearn and _sizes(old) != _sizes(parameters):
         out.model = _taught(out, tracker.model, parameters)
     elif relearn:
@@ -56,9 +55,9 @@ def _retune_stages(out: FaceTracker, old: Parameters, new: Parameters) -> None:
     if old.laplacian.final_w2 != new.laplacian.final_w2:
         out.final_deformation = LaplacianDeformation(*rigging, 0.0, new.laplacian.final_w2)
     if old.blendshapes != new.blendshapes:
-        out.blendshapes = BlendshapeFit(actor, new.blendshapes)
-    if old.rigid != new.rigid:
-        out.rigid = RigidTracker(out.rigid.vertex_weights, new.rigid)
+        out.fit_with(BlendshapeFit(actor, new.blendshapes))
+    elif old.rigid != new.rigid:
+        out.fit_with(out.blendshapes)
     if old.kalman != new.kalman:
         out.kalman = CoefficientFilter(new.kalman)
 

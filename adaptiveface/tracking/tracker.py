@@ -12,7 +12,7 @@ from ..frame import RgbdFrame
 from ..mesh import transform_points, vertex_normals
 from ..parameters import Parameters
 from .adaptive_pca import AdaptiveModel
-from .depth_surface import DepthSurface, crop_window, depth_surface, find_correspondences
+from .depth_surface import DepthSurface, crop_window, depth_surface, find_correspondences, occluded_share
 from .detection import pose_from_features
 from .expression import BlendshapeFit
 from .feature_rows import feature_rows, reprojection_errors
@@ -31,8 +31,8 @@ class FaceTracker:
     def __init__(self, actor: Actor, parameters: Parameters | None = None) -> None:
         self.actor = actor
         self.parameters = p = parameters or Parameters()
-        self.blendshapes = BlendshapeFit(actor, p.blendshapes)
-        self.model = AdaptiveModel(actor, self.blendshapes.basis, p.adaptive_pca)
+        blendshapes = BlendshapeFit(actor, p.blendshapes)
+        self.model = AdaptiveModel(actor, blendshapes.basis, p.adaptive_pca)
         self.kalman = CoefficientFilter(p.kalman)
         frontal, triangles = actor.frontal, actor.triangles
         rigging = (actor.neutral, triangles, frontal, actor.feature_triangles, actor.feature_weights)
@@ -43,12 +43,17 @@ class FaceTracker:
         self._neutral = actor.neutral[self._frontal]
         self._outline = actor.neutral[self._frontal[::5]]  # dense enough to know where the face is
         self._may_match = actor.depth_valid[frontal]
-        local = np.cumsum(frontal) - 1
-        self._fitted = local[self.blendshapes.depth_vertices]
+        self._local = local = np.cumsum(frontal) - 1
         self._frontal_triangles = local[triangles[frontal[triangles].all(axis=1)]]
-        motion = np.linalg.norm(self.blendshapes.basis[:, self.blendshapes.depth_vertices], axis=2).max(axis=0)
-        self.rigid = RigidTracker(1.0 / (1.0 + (motion / p.rigid.stiff) ** 2), p.rigid)
+        self.fit_with(blendshapes)
         self.reset()
+
+    def fit_with(self, blendshapes: BlendshapeFit) -> None:
+        """Use these blendshapes, and the rigid alignment of the vertices that they fit."""
+        self.blendshapes, p = blendshapes, self.parameters.rigid
+        self._fitted = self._local[blendshapes.depth_vertices]
+        motion = np.linalg.norm(blendshapes.basis[:, blendshapes.depth_vertices], axis=2).max(axis=0)
+        self.rigid = RigidTracker(1.0 / (1.0 + (motion / p.stiff) ** 2), p)
 
     def reset(self) -> None:
         """Start over: forget the pose, the expression and everything learned."""
@@ -81,14 +86,14 @@ class FaceTracker:
             x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
             v1 = self.blendshapes.shape(x)
         with timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
-            deformation, coverage = self._deform_to_depth(surface, frame, pose, v1, normals)
+            deformation, coverage, occluded = self._deform_to_depth(surface, frame, pose, v1, normals)
             v2 = self._displace(v1, deformation)
         with timed(ms, "projection"):  # section 4.3, last equation
             v3 = self._project(v2)
         with timed(ms, "final_deformation"):  # section 4.4
             v4 = self._displace(v3, self._deform_to_features(frame, pose, v3))
         with timed(ms, "adaptive_pca"):  # section 5
-            state = self._learn(deformation, coverage)
+            state = self._learn(deformation, coverage, occluded)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
 
@@ -158,14 +163,16 @@ class FaceTracker:
         """(n, 3) head-frame normals of the frontal vertices of the last frame's v1."""
         return vertex_normals(self._v1[self._frontal], self._frontal_triangles)
 
-    def _deform_to_depth(self, surface, frame, pose, v1, normals) -> tuple[np.ndarray, float]:
+    def _deform_to_depth(self, surface, frame, pose, v1, normals) -> tuple[np.ndarray, float, float]:
+        """Displacement (n, 3); shares of the vertices that have depth, and that something in front of them hides."""
         p = self.parameters.laplacian
         matches = find_correspondences(surface, v1[self._frontal], normals, p.prune, pose)
         matches.weights[~self._may_match] = 0.0
         coverage = matches.count / max(int(self._may_match.sum()), 1)
         term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
         planes = matches.normals @ pose[:3, :3]
-        return self.deformation.deform(matches, planes, term, self._deformation, p.steps), coverage
+        occluded = occluded_share(surface, matches.points[::3], normals[::3] @ pose[:3, :3].T, p.prune)
+        return self.deformation.deform(matches, planes, term, self._deformation, p.steps), coverage, occluded
 
     def _deform_to_features(self, frame: RgbdFrame, pose: np.ndarray, v3: np.ndarray) -> np.ndarray:
         term = self._feature_term(frame, pose, v3, self.parameters.laplacian.final_feature_weight, hold_depth=True)
@@ -185,10 +192,10 @@ class FaceTracker:
         v3[self._outside] += outside.reshape(-1, 3)
         return v3
 
-    def _learn(self, deformation: np.ndarray, coverage: float) -> SampleState:
+    def _learn(self, deformation: np.ndarray, coverage: float, occluded: float) -> SampleState:
         """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""
         p = self.parameters.adaptive_pca
-        if coverage < p.min_coverage:
+        if coverage < p.min_coverage or occluded > p.max_occluded:
             return SampleState.OUTLIER
         return self.model.learn(deformation.ravel()) if p.learn else self.model.classify(deformation.ravel())[0]
 

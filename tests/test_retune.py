@@ -1,0 +1,107 @@
+"""Other parameters for a running tracker: as a new one would compute, without losing the head or what was learned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
+
+from adaptiveface.parameters import Parameters
+from adaptiveface.tracking.adaptive_pca import AdaptiveModel
+from adaptiveface.tracking.retune import retuned, snapshot
+from adaptiveface.tracking.tracker import FaceTracker
+
+#: Everything is worth learning: the frames are rendered from the rig itself.
+START = Parameters().set(adaptive_pca__valid_min=0.0, adaptive_pca__K=5, adaptive_pca__S=12)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    actor = exact_actor()
+    shapes = [posed_shape(actor, coefficients(actor, jawOpen=0.02 * i, mouthSmileLeft=0.03 * i)) for i in range(16)]
+    return [render_frame(actor, s, head_pose((0.0, 0.01 * i, 0.0)), i, noise=0.5) for i, s in enumerate(shapes)]
+
+
+@pytest.fixture
+def tracker(frames):
+    tracker = FaceTracker(exact_actor(), START)
+    for frame in frames[:-1]:
+        assert tracker.track(frame).tracked
+    assert tracker.model.correctives.shape[1] == 5 and tracker.model.count == 12
+    return tracker
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"laplacian__w2": 3.0},
+        {"laplacian__final_w2": 1.0},
+        {"blendshapes__w": 3e-6},
+        {"blendshapes__every": 2},
+        {"rigid__iterations": 2},
+        {"rigid__stiff": 3.0},
+        {"kalman__model": "off"},
+        {"adaptive_pca__valid_max": 3.0},
+        {"blendshapes__A": 12},
+    ],
+)
+def test_the_next_frame_is_what_a_new_tracker_put_there_would_make_of_it(tracker, frames, change):
+    parameters = START.set(**change)
+    fresh = FaceTracker(tracker.actor, parameters)
+    count = len(fresh._x)
+    fresh.pose, fresh._x, fresh._deformation = tracker.pose, tracker._x[:count].copy(), tracker._deformation
+    fresh._v1 = fresh.blendshapes.shape(fresh._x)
+    if "kalman__model" not in change and count == len(tracker._x):
+        fresh.kalman = snapshot(tracker).kalman
+    changed = retuned(tracker, parameters)
+    fresh.model = snapshot(changed).model
+    a, b = changed.track(frames[-1]), fresh.track(frames[-1])
+    assert a.tracked and changed.parameters == parameters
+    np.testing.assert_allclose(a.v4, b.v4, atol=1e-6)
+    assert a.sample_state == b.sample_state
+
+
+def test_fewer_or_more_correctives_are_the_principal_ones_of_the_buffer(tracker):
+    samples = tracker.model.samples()
+    assert samples.shape == (12, tracker.model.anchors.shape[0])
+    _, _, rows = np.linalg.svd(
+        samples - (samples @ tracker.model.anchors) @ tracker.model.anchors.T, full_matrices=False
+    )
+    for k in (2, 4, 8):
+        model = retuned(tracker, START.set(adaptive_pca__K=k)).model
+        assert model.correctives.shape[1] == k and model.count == 12 and model.updates == tracker.model.updates
+        cosines = np.linalg.svd(rows[:k] @ model.correctives, compute_uv=False)
+        assert cosines.min() > 0.9999
+        np.testing.assert_allclose(model.correctives.T @ model.correctives, np.eye(k), atol=1e-9)
+        np.testing.assert_allclose(model.anchors.T @ model.correctives, 0, atol=1e-9)
+
+
+def test_a_smaller_buffer_keeps_the_newest_samples_and_learning_goes_on(tracker, frames):
+    newest = tracker.model.samples()[-8:]
+    changed = retuned(tracker, START.set(adaptive_pca__S=8))
+    np.testing.assert_allclose(changed.model.samples(), newest, atol=1e-3)
+    assert changed.model.correctives.shape[1] == 5
+    before = changed.model.updates
+    assert changed.track(frames[-1]).tracked and changed.model.updates == before + 1
+
+
+def test_other_expressions_keep_head_and_samples(tracker, frames):
+    changed = retuned(tracker, START.set(blendshapes__A=6))
+    assert np.array_equal(changed.pose, tracker.pose) and changed.model.count > 0
+    assert len(changed.track(frames[-1]).coefficients) == 6
+
+
+def test_relearning_gives_the_subspace_that_em_converges_to(tracker):
+    parameters = START.adaptive_pca
+    direct = AdaptiveModel(tracker.actor, tracker.blendshapes.basis, parameters)
+    direct.learn_all(tracker.model.samples())
+    em = snapshot(tracker).model
+    for _ in range(200):
+        em._update()
+    assert np.linalg.svd(direct.correctives.T @ em.correctives, compute_uv=False).min() > 0.999
+
+
+def test_nothing_learned_stays_nothing_and_no_correctives_are_possible(tracker):
+    empty = FaceTracker(tracker.actor, START)
+    assert retuned(empty, START.set(adaptive_pca__K=3)).model.correctives.shape[1] == 0
+    assert retuned(tracker, START.set(adaptive_pca__K=0)).model.correctives.shape[1] == 0
