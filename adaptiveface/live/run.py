@@ -8,6 +8,7 @@ from os import PathLike
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError
+from ..landmarks import FeatureDetector
 from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
 from ..sensors.catalogue import open_sensor
@@ -32,7 +33,8 @@ class LiveRun:
     ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``state`` is one of
     the constants above; ``error`` says why it is ``FAILED``. While scanning, ``guide`` and ``guidance`` tell how far it
     is and ``frame`` is what the sensor saw; while building, ``progress`` is the step and the share done; from then on
-    ``session`` tracks. An open sensor stays open after :meth:`close`; one that was opened here is closed.
+    ``session`` tracks. ``detect``: MediaPipe looks for features even where the sensor brings its own. An open sensor
+    stays open after :meth:`close`; one that was opened here is closed.
     """
 
     def __init__(
@@ -41,8 +43,9 @@ class LiveRun:
         actor: Actor | str | PathLike | None = None,
         parameters: Parameters | None = None,
         seconds: float = 10.0,
+        detect: bool = False,
     ) -> None:
-        self._given, self._owned = sensor, isinstance(sensor, str)
+        self._given, self._owned, self._detect = sensor, isinstance(sensor, str), detect
         self.name = sensor if self._owned else sensor.name
         self.actor = Actor.load(actor) if isinstance(actor, (str, PathLike)) else actor
         self._parameters, self.seconds = parameters or Parameters(), seconds
@@ -150,7 +153,7 @@ class LiveRun:
                 sensor.close()
             return
         self.sensor, self.name = sensor, sensor.name
-        self.feed = FeatureFeed(sensor)
+        self.feed = FeatureFeed(sensor, FeatureDetector(video=True) if self._detect else None)
         if self.actor is None:
             self._scan_and_track()
         else:

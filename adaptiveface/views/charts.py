@@ -19,6 +19,9 @@ from .pictures import encode, image_widget
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
+_BAR = np.array([0x00, 0x72, 0xB2], np.uint8)  # the first of them
+
+
 class LiveChart:
     """Lines over frame numbers (or any x) with fixed axes and a cursor. ``widget`` is what to display."""
 
@@ -79,28 +82,36 @@ class BarChart:
         self, names: Sequence[str], x: tuple[float, float], xlabel: str, title: str, size: tuple[int, int] = (330, 460)
     ) -> None:
         figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white", layout="constrained")
-        self._canvas, self._axis = FigureCanvasAgg(figure), figure.add_subplot()
-        places = np.arange(len(names))
-        self._bars = self._axis.barh(places, np.zeros(len(names)), 0.7, color=COLOURS[0], animated=True)
-        self._axis.set(xlim=x, ylim=(len(names) - 0.5, -0.5))
-        self._axis.set_xlabel(xlabel, fontsize=9)
-        self._axis.set_yticks(places, names, fontsize=8)
-        self._axis.tick_params(axis="x", labelsize=8)
-        self._axis.set_title(title, fontsize=9)
-        self._axis.grid(axis="x", alpha=0.3)
-        self._canvas.draw()
-        self._background = self._canvas.copy_from_bbox(figure.bbox)
+        canvas = FigureCanvasAgg(figure)
+        axis, places = figure.add_subplot(), np.arange(len(names))
+        axis.set(xlim=x, ylim=(len(names) - 0.5, -0.5))
+        axis.set_xlabel(xlabel, fontsize=9)
+        axis.set_yticks(places, names, fontsize=8)
+        axis.tick_params(axis="x", labelsize=8)
+        axis.set_title(title, fontsize=9)
+        axis.grid(axis="x", alpha=0.3)
+        canvas.draw()
+        self._background = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+        def pixels(data: np.ndarray) -> np.ndarray:
+            return axis.transData.transform(data)
+
+        (self._left, _), (self._right, _) = pixels(np.array([[x[0], 0], [x[1], 0]]))
+        self._low, self._high = x
+        edges = np.stack([pixels(np.column_stack([0 * places, places + side])) for side in (-0.35, 0.35)])
+        self._rows = np.rint(size[1] - edges[..., 1]).astype(int).T
         self._image = image_widget(*size, format="png", name="adaptiveface-chart")
         self.widget = widgets.VBox([self._image])
         self.update(np.zeros(len(names)))
 
     def update(self, values: Sequence[float]) -> None:
         """The bars' lengths; beyond the axis they end at its edge."""
-        self._canvas.restore_region(self._background)
-        for bar, value in zip(self._bars, values, strict=True):
-            bar.set_width(value)
-            self._axis.draw_artist(bar)
-        self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
+        picture = self._background.copy()
+        share = (np.nan_to_num(np.asarray(values, float)) - self._low) / (self._high - self._low)
+        ends = np.rint(self._left + np.clip(share, 0, 1) * (self._right - self._left)).astype(int)
+        for (top, bottom), end in zip(self._rows, ends, strict=True):
+            picture[top:bottom, int(np.ceil(self._left)) : end] = _BAR
+        self._image.value = encode(picture, "png")
 
 
 class GridChart:

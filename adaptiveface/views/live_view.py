@@ -31,8 +31,9 @@ class LiveView:
     """``sensor``: a name for :func:`~adaptiveface.sensors.open_sensor`, an open sensor, or None to choose one on the page.
 
     ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``character``: a
-    built-in or own one that follows. ``widget`` is what to display; :meth:`close` ends every thread. Draws on the
-    kernel's event loop, always the newest result; from code: :meth:`until`, and the methods behind the buttons.
+    built-in or own one that follows; ``detect``: MediaPipe even where the sensor brings features. ``widget`` is what to
+    display; :meth:`close` ends every thread. Draws on the kernel's event loop, always the newest result; from code:
+    :meth:`until`, and the methods behind the buttons.
     """
 
     def __init__(
@@ -42,8 +43,9 @@ class LiveView:
         character: str | None = None,
         parameters: Parameters | None = None,
         seconds: float = 10.0,
+        detect: bool = False,
     ) -> None:
-        self._given, self._actor, self._seconds = sensor, actor, seconds
+        self._given, self._actor, self._options = sensor, actor, (seconds, detect)
         self.run: LiveRun | None = None
         self.result: LiveResult | None = None
         self.drawn = 0
@@ -81,7 +83,7 @@ class LiveView:
         given = self._given
         chosen = given if isinstance(given, LiveSensor) else self.controls.sensor.value
         with self._shown():
-            self.run = LiveRun(chosen, self._actor, self.controls.panel.parameters, self._seconds)
+            self.run = LiveRun(chosen, self._actor, self.controls.panel.parameters, *self._options)
             self.run.on_result(self.curves.add)
             self.result = None
             self._task.start(self._draw_for_ever())
@@ -213,8 +215,9 @@ class LiveView:
                 self._character.show(actor, result)
             self.drawn += 1
         if session is not None and now >= self._chart_due:
-            self._chart_due = now + 1 / CHARTS
             self._draw_figures(session)
+            # Later on a busy machine: the face comes first.
+            self._chart_due = now + max(1 / CHARTS, 8 * (time.perf_counter() - now))
 
     def _draw_figures(self, session) -> None:
         statistics = session.statistics
@@ -225,9 +228,8 @@ class LiveView:
         rate = (self.drawn - drawn) / max(now - before, 1e-3)
         dropped = [now - before for now, before in zip(dropped_frames(statistics), self._dropped_before, strict=True)]
         recorded = self._recorder.frames if self._recorder else None
-        self.controls.figures.value = figures(
-            statistics, dropped, rate, session.model.correctives.shape[1], recorded
-        )
+        correctives = session.model.correctives.shape[1]
+        self.controls.figures.value = figures(statistics, dropped, rate, correctives, recorded)
         self._say_trouble(statistics.message)
 
     def _show_state(self) -> None:

@@ -116,6 +116,35 @@ def run_cells(page, last: int, timeout: float = 180.0) -> None:
         raise AssertionError(errors.first.inner_text())
 
 
+def run_code(page, code: str) -> str:
+    """Run code in the open notebook's kernel, without a cell; returns what it printed, or its error."""
+    return page.evaluate(
+        """async code => { let out = '';
+          const future = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel.requestExecute({code});
+          future.onIOPub = message => { const c = message.content;
+            out += c.text ?? ''; if (c.ename) out += c.ename + ': ' + c.evalue; };
+          await future.done; return out; }""",
+        code,
+    )
+
+
+def pictures_per_second(page, seconds: float) -> float:
+    """How many pictures of the face the browser decodes a second, while it is left alone."""
+    page.evaluate("() => { window.loads.face = []; }")
+    page.wait_for_timeout(1000 * seconds)
+    times = page.evaluate("() => window.loads.face")
+    return 0.0 if len(times) < 2 else (len(times) - 1) / (times[-1] - times[0]) * 1000
+
+
+def wait_for_text(page, selector: str, text: str, seconds: float) -> None:
+    """Wait until an element shows ``text``."""
+    page.wait_for_function(
+        "([selector, text]) => document.querySelector(selector)?.innerText.includes(text)",
+        arg=[selector, text],
+        timeout=1000 * seconds,
+    )
+
+
 def cell_with(name: str, text: str) -> int:
     """Number of the first code cell of a notebook that contains ``text``."""
     import nbformat

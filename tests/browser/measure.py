@@ -1,7 +1,7 @@
 """Measure in a real browser how the notebooks feel: ``python tests/browser/measure.py``.
 
 Prints the median time from a slider's movement to the new picture on the page, and the pictures per second of a playback
-that learns. On synthetic input, with software rendering; the machine's load is printed beside them.
+that learns, and of the live view. On synthetic input, with software rendering; the machine's load is printed beside them.
 """
 
 from __future__ import annotations
@@ -40,12 +40,28 @@ def slider_to_pixels(page, parameter: str) -> list[float]:
 
 def playback_rate(page, button: str) -> float:
     """Pictures per second that the browser decodes while the performance plays."""
-    page.evaluate("() => { window.loads.face = []; }")
     page.locator(button).first.click()
-    page.wait_for_timeout(1000 * SECONDS)
-    times = page.evaluate("() => window.loads.face")
+    rate = lab.pictures_per_second(page, SECONDS)
     page.locator(".adaptiveface-play").first.click()
-    return (len(times) - 1) / (times[-1] - times[0]) * 1000
+    return rate
+
+
+def live_view(folder: Path, address: str) -> None:
+    """The live notebook on the synthetic sensor, with MediaPipe finding the features of every frame beside it."""
+    name = "live_sensor.ipynb"
+    text = (lab.NOTEBOOKS / name).read_text(encoding="utf-8")
+    if text.count("LiveView(SOURCE, ACTOR, ") != 1:
+        raise RuntimeError(f"{name}: the view's line has changed")
+    (folder / name).write_text(text.replace("LiveView(SOURCE, ACTOR, ", "LiveView(SOURCE, ACTOR, detect=True, "), "utf-8")
+    with lab.chromium_page() as page:
+        lab.open_notebook(page, address, name)
+        lab.run_cells(page, lab.cell_with(name, "views.LiveView("))
+        lab.wait_for_text(page, ".adaptiveface-live-status", "tracking", 180)
+        page.wait_for_timeout(3000)
+        rate = lab.pictures_per_second(page, 2 * SECONDS)
+        figures = page.locator(".adaptiveface-live-figures").inner_text()
+        print(f"{name}: {rate:.1f} pictures/s with MediaPipe beside it (load {os.getloadavg()[0]:.1f}); {figures}", flush=True)
+        lab.run_code(page, "view.close()")
 
 
 def main() -> None:
@@ -71,6 +87,7 @@ def main() -> None:
                     page.wait_for_timeout(1500)
                     rate = playback_rate(page, button)
                     print(f"{name}: {what}: {rate:.1f} pictures/s (load {os.getloadavg()[0]:.1f})", flush=True)
+        live_view(Path(folder), address)
 
 
 if __name__ == "__main__":
