@@ -89,7 +89,7 @@ def test_kinect_v2_with_another_lens_is_refused():
         kinect2.registration(Mapper(shear=0.1))
 
 
-KINDS = "orbbec", "oak", "kinect2"
+KINDS = "azure", "orbbec", "oak", "kinect2"
 
 
 @pytest.fixture(scope="module")

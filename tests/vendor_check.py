@@ -47,6 +47,12 @@ METHODS = {
         "ImgFrame": "getFrame getTransformation getWidth getHeight getTimestampDevice getSequenceNum",
         "ImgTransformation": "getIntrinsicMatrix",
     },
+    "azure": {
+        "PyK4A": "start stop close opened get_capture calibration",
+        "PyK4APlayback": "open close configuration calibration get_next_capture",
+        "PyK4ACapture": "depth color depth_timestamp_usec",
+        "Calibration": "get_camera_matrix get_distortion_coefficients get_extrinsic_parameters",
+    },
     "kinect2": {
         "KinectSensor": "open close is_available wait_for_frames mapper",
         "CoordinateMapper": "get_depth_camera_intrinsics map_depth_frame_to_camera_space map_depth_frame_to_color_space",
@@ -55,9 +61,10 @@ METHODS = {
         "ColorFrame": "as_rgb",
     },
 }
-LIBRARIES = {"orbbec": "pyorbbecsdk", "oak": "depthai", "kinect2": "kinect_next"}
+LIBRARIES = {"azure": "pyk4a", "orbbec": "pyorbbecsdk", "oak": "depthai", "kinect2": "kinect_next"}
 #: How the adapters call the library, or a group of its names.
 ALIASES = {
+    "azure": {"k4a": "", "self._k4a": "", "formats": "ImageFormat", "kinds": "CalibrationType"},
     "orbbec": {"ob": "", "models": "OBCameraDistortionModel", "formats": "OBFormat", "pyorbbecsdk": ""},
     "oak": {"dai": "", "self._dai": "", "sockets": "CameraBoardSocket", "depthai": ""},
     "kinect2": {"library": ""},
