@@ -59,6 +59,12 @@ def _openni2(which: str) -> LiveSensor:
     return LiveSensor(lambda: OpenNI2Driver(which))
 
 
+def _kinect1(index: str) -> LiveSensor:
+    from .kinect1 import Kinect1Driver
+
+    return LiveSensor(lambda: Kinect1Driver(index))
+
+
 def _webcam(options: str) -> LiveSensor:
     from .webcam import WebcamDriver, WebcamOptions
 
@@ -107,6 +113,7 @@ _KINDS = {
     "realsense": _realsense,
     "record3d": _record3d,
     "openni2": _openni2,
+    "kinect1": _kinect1,
     "azure": _azure,
     "orbbec": _orbbec,
     "oak": _oak,
@@ -117,7 +124,8 @@ _REALSENSE_FILES = (".db3", ".bag")
 _AZURE_FILES = (".mkv",)
 POSSIBLE = (
     "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
-    "'openni2[:URI or INDEX]', 'azure[:INDEX]', 'orbbec[:SERIAL]', 'oak[:ID]', 'kinect2', "
+    "'openni2[:URI or INDEX]', 'kinect1[:INDEX]', 'azure[:INDEX]', 'orbbec[:SERIAL]', 'oak[:ID]', "
+    "'kinect2', "
     "'webcam[:INDEX|http://...][,fov=DEGREES][,mirrored]' (colour only), "
     "or the path of a recording (folder, .r3d, .db3, .bag, .oni, .mkv; colour only: .mp4, .mov, .avi, .webm)"
 )
@@ -126,7 +134,7 @@ POSSIBLE = (
 def list_sensors() -> list[SensorInfo]:
     """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
     synthetic = SensorInfo("synthetic", "a synthetic performer at 30 frames a second, no hardware")
-    depth = [*_realsense_cameras(), *_phones(), *_openni2_cameras(), *_azure_cameras(), *_others()]
+    depth = [*_realsense_cameras(), *_phones(), *_openni2_cameras(), *_kinects(), *_azure_cameras(), *_others()]
     return [synthetic, *depth, *_webcams()]
 
 
@@ -157,6 +165,12 @@ def _openni2_cameras() -> list[SensorInfo]:
     from .openni2 import connected_cameras
 
     return _connected("openni2", "PrimeSense Carmine, Asus Xtion and other OpenNI2 cameras", connected_cameras)
+
+
+def _kinects() -> list[SensorInfo]:
+    from .kinect1 import connected_kinects
+
+    return _connected("kinect1", "Kinect v1 (Xbox 360)", connected_kinects)
 
 
 def _azure_cameras() -> list[SensorInfo]:

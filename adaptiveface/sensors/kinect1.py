@@ -1,0 +1,225 @@
+"""Kinect v1 (Xbox 360, Kinect for Windows) through libfreenect, by ctypes; there are no wheels of its Python binding.
+
+The library registers depth to colour, in whole millimetres. The sensor measures an 11-bit disparity: neighbouring values
+are 1.4 mm apart at 700 mm and 2.9 mm at 1 m. A library that cannot register (fakenect) gives the disparity of the depth
+camera, which is converted here, and its pictures are withheld, as they are not aligned to that depth.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import time
+from ctypes import POINTER, byref, c_int, c_int8, c_int16, c_int32, c_long, c_uint32, c_void_p
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import DriverMissingError, ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from .live import RawFrame
+
+WIDTH, HEIGHT, FPS = 640, 480, 30
+#: Environment variable with the path of the library, where it is not among the system's.
+LIBRARY_VARIABLE = "FREENECT_LIBRARY"
+#: Ticks of the camera's clock per second; the counter has 32 bits.
+TICKS = 60e6
+#: A picture further than this many frames from its depth is not the same moment.
+MAX_SKEW_FRAMES = 0.6
+#: A camera that gives nothing for so long is taken as unplugged, s.
+PATIENCE = 3.0
+_NAMES = {"win32": ("freenect.dll",), "darwin": ("libfreenect.dylib", "libfreenect.0.dylib")}
+_CAMERA_ONLY, _MEDIUM, _RGB, _DEPTH_11_BIT, _REGISTERED = 2, 1, 0, 0, 4
+
+
+class _Mode(ctypes.Structure):
+    _fields_ = [
+        ("reserved", c_uint32), ("resolution", c_int), ("format", c_int32), ("bytes", c_int32), ("width", c_int16),
+        ("height", c_int16), ("bits", c_int8), ("padding", c_int8), ("fps", c_int8), ("valid", c_int8),
+    ]  # fmt: skip
+
+
+class _Interval(ctypes.Structure):
+    _fields_ = [("seconds", c_long), ("microseconds", c_long)]
+
+
+_Callback = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_uint32)
+_SIGNATURES = {
+    "init": [POINTER(c_void_p), c_void_p], "shutdown": [c_void_p], "num_devices": [c_void_p],
+    "set_log_level": [c_void_p, c_int], "select_subdevices": [c_void_p, c_int],
+    "open_device": [c_void_p, POINTER(c_void_p), c_int], "close_device": [c_void_p],
+    "get_depth_mode_count": [], "get_depth_mode": [c_int], "find_video_mode": [c_int, c_int],
+    "set_depth_mode": [c_void_p, _Mode], "set_video_mode": [c_void_p, _Mode],
+    "set_depth_callback": [c_void_p, _Callback], "set_video_callback": [c_void_p, _Callback],
+    "start_depth": [c_void_p], "start_video": [c_void_p], "stop_depth": [c_void_p], "stop_video": [c_void_p],
+    "process_events_timeout": [c_void_p, POINTER(_Interval)],
+}  # fmt: skip
+
+
+class _Library:
+    """libfreenect's functions as methods; raises :class:`DriverMissingError`."""
+
+    def __init__(self) -> None:
+        library = _load()
+        for name, arguments in _SIGNATURES.items():
+            function = getattr(library, f"freenect_{name}")
+            function.argtypes, function.restype = arguments, _Mode if name.endswith("_mode") and "set" not in name else c_int
+            setattr(self, name, function)
+
+    def context(self) -> c_void_p:
+        """A new context that opens cameras only; raises :class:`SensorError`."""
+        context = c_void_p()
+        if self.init(byref(context), None) < 0:
+            raise SensorError("Kinect v1: no access to the USB bus")
+        self.set_log_level(context, 0)
+        self.select_subdevices(context, _CAMERA_ONLY)
+        return context
+
+
+def _load():
+    chosen = os.environ.get(LIBRARY_VARIABLE)
+    names = (chosen,) if chosen else _NAMES.get(sys.platform, ("libfreenect.so.0.5", "libfreenect.so.0", "libfreenect.so"))
+    for name in names:
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    if chosen:
+        raise DriverMissingError(f"Kinect v1 needs libfreenect: {chosen} ({LIBRARY_VARIABLE}) cannot be loaded")
+    lines = {"darwin": "brew install libfreenect", "win32": "build it from https://github.com/OpenKinect/libfreenect"}
+    line = lines.get(sys.platform, "on Debian or Ubuntu: apt install libfreenect0.5")
+    raise DriverMissingError(f"Kinect v1 needs libfreenect: {line}; elsewhere set {LIBRARY_VARIABLE} to its path")
+
+
+def connected_kinects() -> list[tuple[str, str]]:
+    """(number, name) of every connected Kinect v1; raises :class:`DriverMissingError`, RuntimeError without USB."""
+    library = _Library()
+    try:
+        context = library.context()
+    except SensorError as error:
+        raise RuntimeError(str(error)) from None
+    try:
+        return [(str(number), "Kinect v1") for number in range(max(library.num_devices(context), 0))]
+    finally:
+        library.shutdown(context)
+
+
+class Kinect1Driver:
+    """One Kinect v1, by its number or the first one.
+
+    ``colour_camera``: calibration of depth registered to colour; ``depth_camera``: of the depth camera's own disparity.
+    Both are nominal, the device tells none.
+    """
+
+    live, has_features, fps, depth_scale = True, False, float(FPS), 1000.0
+    colour_camera = Camera(WIDTH, HEIGHT, 525.0, 525.0, 319.5, 239.5)
+    depth_camera = Camera(WIDTH, HEIGHT, 580.0, 580.0, 319.5, 239.5)
+    withholds_unaligned = True  #: pictures that are not aligned to the depth are not handed over
+
+    def __init__(self, index: str = "") -> None:
+        if index and not (index.isascii() and index.isdecimal() and len(index) < 4):
+            raise ParameterError(f"kinect1:{index}: the number of a Kinect is expected, 0 for the first")
+        self._library = _Library()
+        self.index, self.name = int(index or 0), f"Kinect v1 {index}".strip()
+        self._context = self._device = None
+
+    def open(self) -> None:
+        """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
+        library = self._library
+        self._context = library.context()
+        found = library.num_devices(self._context)
+        if found <= self.index:
+            raise SensorNotFoundError(f"{self.name}: no such Kinect is connected (found: {max(found, 0)}); it needs its "
+                                      "power supply besides USB")  # fmt: skip
+        device = c_void_p()
+        if library.open_device(self._context, byref(device), self.index) < 0:
+            raise SensorError(f"{self.name}: cannot be opened; is another program using it, or are its udev rules missing?")
+        self._device = device
+        self._newest: dict[str, tuple[np.ndarray, float]] = {}
+        self._clock, self._sequence, self._last_time = {}, -1, None
+        self._start(device)
+        self._last_frame = time.perf_counter()
+
+    def _start(self, device: c_void_p) -> None:
+        library = self._library
+        modes = [library.get_depth_mode(number) for number in range(library.get_depth_mode_count())]
+        formats = {mode.format: mode for mode in modes if mode.valid and mode.resolution == _MEDIUM}
+        self.registered = _REGISTERED in formats
+        depth_mode = formats.get(_REGISTERED, formats.get(_DEPTH_11_BIT))
+        # the library keeps the bare pointers: the callbacks live as long as the driver
+        self._callbacks = _Callback(self._on_depth), _Callback(self._on_video)
+        library.set_depth_callback(device, self._callbacks[0])
+        library.set_video_callback(device, self._callbacks[1])
+        steps = (
+            depth_mode is not None and library.set_depth_mode(device, depth_mode) >= 0,
+            library.set_video_mode(device, library.find_video_mode(_MEDIUM, _RGB)) >= 0,
+            library.start_depth(device) >= 0,
+            library.start_video(device) >= 0,
+        )
+        if not all(steps):
+            raise SensorError(f"{self.name}: cannot start depth and colour; plug it in again, into another USB port")
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The next pair of depth and colour."""
+        deadline = time.perf_counter() + timeout
+        while True:
+            left = max(deadline - time.perf_counter(), 0.001)
+            if self._library.process_events_timeout(self._context, byref(_Interval(0, int(left * 1e6)))) < 0:
+                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+            frame = self._pair()
+            if frame is not None:
+                self._last_frame = time.perf_counter()
+                return frame
+            if time.perf_counter() - self._last_frame > PATIENCE:
+                raise SensorDisconnectedError(f"{self.name}: sends no frames; check its power supply and its cable")
+            if time.perf_counter() >= deadline:
+                return None
+
+    def close(self) -> None:
+        """Stop both streams and release the device."""
+        device, self._device, context, self._context = self._device, None, self._context, None
+        if device is not None:
+            self._library.stop_depth(device)
+            self._library.stop_video(device)
+            self._library.close_device(device)
+        if context is not None:
+            self._library.shutdown(context)
+
+    # ---- called by the library, within process_events_timeout ------------------------------------------------------
+    def _on_depth(self, _device, address, ticks) -> None:
+        units = np.ctypeslib.as_array((ctypes.c_uint16 * (WIDTH * HEIGHT)).from_address(address))
+        self._newest["depth"] = units.reshape(HEIGHT, WIDTH).copy(), self._seconds("depth", ticks)
+
+    def _on_video(self, _device, address, ticks) -> None:
+        pixels = np.ctypeslib.as_array((ctypes.c_uint8 * (WIDTH * HEIGHT * 3)).from_address(address))
+        self._newest["colour"] = pixels.reshape(HEIGHT, WIDTH, 3).copy(), self._seconds("colour", ticks)
+
+    def _seconds(self, stream: str, ticks: int) -> float:
+        """The clock's counter without its overflow every 72 s; depth and colour share the clock."""
+        before = self._clock.get(stream, self._clock.get("colour" if stream == "depth" else "depth", ticks))
+        self._clock[stream] = before + (ticks - before + 2**31) % 2**32 - 2**31
+        return self._clock[stream] / TICKS
+
+    def _pair(self) -> RawFrame | None:
+        """A frame where depth and colour of the same moment wait; the older one of two moments is forgotten."""
+        if len(self._newest) < 2:
+            return None
+        (units, moment), (picture, pictured) = self._newest["depth"], self._newest["colour"]
+        if abs(moment - pictured) > MAX_SKEW_FRAMES / FPS:
+            del self._newest["depth" if moment < pictured else "colour"]
+            return None
+        self._newest.clear()
+        passed = 1 if self._last_time is None else round((moment - self._last_time) * FPS)
+        self._sequence, self._last_time = self._sequence + max(passed, 1), moment
+        if self.registered:
+            return RawFrame(units, self.colour_camera, picture, self._sequence, moment)
+        aligned = None if self.withholds_unaligned else picture
+        return RawFrame(millimetres(units), self.depth_camera, aligned, self._sequence, moment)
+
+
+def millimetres(disparity: np.ndarray) -> np.ndarray:
+    """Depth (float32 mm, 0 = none) of the sensor's 11-bit disparity; the formula is OpenKinect's (Magnenat's fit)."""
+    table = 123.6 * np.tan(np.arange(2048) / 2842.5 + 1.1863)
+    table[(table <= 0) | (table > 10_000)] = 0  # past the pole of the tangent there is no depth
+    table[2047] = 0
+    return table.astype(np.float32)[np.minimum(disparity, 2047)]
