@@ -60,6 +60,9 @@ def run_all(page: Page, address: str) -> None:
     page.evaluate("() => window.jupyterapp.commands.execute('notebook:run-all-cells')")
     page.wait_for_timeout(1000)
     page.wait_for_function(IDLE, timeout=240_000)
+    if page.locator(".adaptiveface-live-view").count():  # opens its sensor and scans a neutral face first
+        tracks = "() => document.querySelector('.adaptiveface-live-figures')?.innerText.includes('latency')"
+        page.wait_for_function(tracks, timeout=180_000)
     page.wait_for_timeout(3000)
 
 

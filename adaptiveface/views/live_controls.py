@@ -76,7 +76,7 @@ class LiveControls:
 
     def __init__(self, on_parameters, parameters=None, sensor: str | None = None, character: str | None = None) -> None:
         self.sensor = widgets.Dropdown(
-            options=self._sensors(sensor), description="sensor", style=_NARROW, layout=widgets.Layout(width="460px")
+            options=self._sensors(sensor), description="sensor", style=_NARROW, layout=widgets.Layout(width="560px")
         )
         self.sensor.value = sensor or self.sensor.options[0][1]
         characters = [("no character", ""), *((name, name) for name in BUILT_IN)]

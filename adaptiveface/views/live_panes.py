@@ -21,7 +21,7 @@ from .measures import depth_distance
 from .pictures import CameraView, encode, image_widget
 
 #: What the heat map can show, and the one fixed range of each, mm.
-ADDED, TO_DEPTH, PLAIN = "v4 - v1: what deformation and learning add", "distance to the depth map", "none"
+ADDED, TO_DEPTH, PLAIN = "v4 - v1: deformation, learning", "distance to the depth map", "none"
 HEAT_LIMITS = (0.0, 3.0)
 #: Frames that the curves reach back.
 HISTORY = 300
@@ -33,11 +33,11 @@ class MeshPane:
     def __init__(self, size: tuple[int, int] = (360, 400)) -> None:
         self._size, self._view, self._actor = size, None, None
         self.heat = widgets.Dropdown(
-            options=[ADDED, TO_DEPTH, PLAIN], description="colours", layout=widgets.Layout(width="360px"),
+            options=[ADDED, TO_DEPTH, PLAIN], description="colours", layout=widgets.Layout(width=f"{size[0]}px"),
             style={"description_width": "60px"},
         )  # fmt: skip
         self.follow = widgets.Checkbox(True, description="turn with the head", indent=False)
-        self.widget = widgets.VBox([])
+        self.widget = widgets.VBox([], layout=widgets.Layout(width=f"{size[0] + 15}px"))
 
     def show_scan(self, coverage: np.ndarray, pose: np.ndarray | None) -> None:
         """The average head, coloured by the share (V,) of the views that depth still has to give."""
@@ -113,10 +113,11 @@ class InputPane:
 class CharacterPane:
     """A character that follows the re-solved coefficients (section 6)."""
 
-    def __init__(self, name: str, size: int = 300) -> None:
+    def __init__(self, name: str, size: int = 270) -> None:
         self.character, self._size = load_character(name), size
         self._table, self._names = None, None
         self._image = image_widget(size, size, name="adaptiveface-character")
+        self._image.value = encode(portrait(self.character, self.character.neutral, size, rays=1))
         self.widget = widgets.VBox([widgets.HTML(f"<b>{self.character.name}</b>"), self._image])
 
     def show(self, actor: Actor, result: LiveResult) -> None:

@@ -78,7 +78,10 @@ class ParameterPanel:
         if len(boxes) == 1:
             (stage,) = groups
             return widgets.VBox([widgets.HTML(f"<b>{TITLES.get(stage, stage)}</b>"), *boxes])
-        return widgets.Tab(boxes, titles=[TITLES.get(stage, stage) for stage in groups])
+        titles = [TITLES.get(stage, stage) for stage in groups]
+        if len(titles) > 5:  # no room for the sections
+            titles = [title.partition(" (")[0] for title in titles]
+        return widgets.Tab(boxes, titles=titles)
 
     def _control(self, row: dict, limits) -> widgets.Widget:
         name = f"{row['stage']}.{row['name']}"
