@@ -11,7 +11,14 @@ pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame  # noqa: E402
 
 from adaptiveface import views  # noqa: E402
-from adaptiveface.views.retargeting_study import CORRECTIVES, INITIAL, RESOLVED, SLIDERS, RetargetingStudy  # noqa: E402
+from adaptiveface.views.retargeting_study import (  # noqa: E402
+    COMPARED,
+    CORRECTIVES,
+    INITIAL,
+    RESOLVED,
+    SLIDERS,
+    RetargetingStudy,
+)
 from adaptiveface.views.session import Session  # noqa: E402
 
 
@@ -48,6 +55,20 @@ def test_modes_drive_the_character(study):
     assert not study.message.value
 
 
+def test_one_character_by_all_three_side_by_side(study):
+    study.player.go_to(4)
+    study.mode.value = COMPARED
+    faces = study.faces(4)
+    assert [title for _, _, title in faces] == ["actor", INITIAL, RESOLVED, CORRECTIVES]
+    assert [face.name for face, _, _ in faces] == ["actor", "hag", "hag", "hag"]
+    for title, shape in ((INITIAL, faces[1][1]), (RESOLVED, faces[2][1]), (CORRECTIVES, faces[3][1])):
+        study.mode.value = title
+        np.testing.assert_allclose(study.shapes(4)[1], shape)
+    assert np.abs(faces[1][1] - faces[2][1]).max() > 0.01 and np.abs(faces[3][1] - faces[2][1]).max() > 0.01
+    study.mode.value = COMPARED
+    assert study.picture().shape == (120, 480, 3)
+
+
 def test_a_moved_slider_takes_over(study):
     study.mode.value = RESOLVED
     before = study.picture()
@@ -55,8 +76,14 @@ def test_a_moved_slider_takes_over(study):
     assert study.mode.value == SLIDERS and mouth(study, 0) > 10
     after = study.picture()
     assert after.shape == (120, 240, 3) and (before != after).any(axis=2).sum() > 200
-    study.turn.value = 40
-    assert (study.picture() != after).any(axis=2).sum() > 500
+    seen = [after]
+    for camera in ([40.0, 0.0, 1.0], [40.0, 25.0, 1.0], [40.0, 25.0, 1.6]):  # what the mouse sends
+        sent = bytes(study.view.value)
+        study.view.camera = camera
+        assert bytes(study.view.value) != sent  # it redraws
+        seen.append(study.picture())
+        assert (seen[-1] != seen[-2]).any(axis=2).sum() > 500
+    study.view.camera = [0.0, 0.0, 1.0]
 
 
 def test_playback_draws_every_frame(study):
@@ -64,6 +91,6 @@ def test_playback_draws_every_frame(study):
     pictures = []
     for index in range(5):
         study.player.go_to(index)
-        pictures.append(bytes(study._image.value))
+        pictures.append(bytes(study.view.value))
     assert len(set(pictures)) == 5
     study.close()

@@ -17,7 +17,7 @@ _LIGHT = Light(ambient=0.34, head=0.40, key=0.36, specular=0.10)
 
 def portrait(
     character: Character, vertices: np.ndarray, size: int = 480, rotation: np.ndarray | None = None, yaw: float = 0.0,
-    rays: int = 2, background: tuple[int, int, int] = (255, 255, 255),
+    rays: int = 2, background: tuple[int, int, int] = (255, 255, 255), zoom: float = 1.0,
 ) -> np.ndarray:
     """(size, size, 3) uint8: ``vertices`` (V, 3) of a character's head frame, seen from the front.
 
@@ -29,7 +29,7 @@ def portrait(
     turn = turn @ rotation_vector_matrix(np.array([0.0, np.radians(yaw), 0.0]))
     distance = 4.0 * extent
     fine = rays * size
-    focal = 0.92 * fine * distance / (1.12 * extent)
+    focal = zoom * 0.92 * fine * distance / (1.12 * extent)
     camera = Camera(fine, fine, focal, focal, (fine - 1) / 2, (fine - 1) / 2)
     points = (vertices - middle) @ turn.T + [0.0, 0.0, distance]
     colours = SKIN if character.colours is None else character.colours.astype(float)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import ipywidgets as widgets
 import numpy as np
 
@@ -18,20 +19,24 @@ from ..retargeting.resolve import SparseResolve
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
 from .kernel import on_main_thread, shown_errors
-from .pictures import encode, image_widget
+from .pictures import encode
 from .player import Player
 from .session import Session
+from .turntable import Turntable
 
 #: What drives the faces.
 SLIDERS, INITIAL, RESOLVED, CORRECTIVES = "sliders", "initial", "re-solved", "re-solved + correctives"
+#: One character by all three instead of all characters by one of them (the paper's figure 8).
+COMPARED = "compare on one"
 _STYLE, _WIDE = {"description_width": "110px"}, widgets.Layout(width="270px")
 
 
 class RetargetingStudy:
-    """One view of the actor (final mesh v4) and of characters; ``widget`` is what to display.
+    """One 3D view of the actor (final mesh v4) and of characters, turned by the mouse; ``widget`` is what to display.
 
     ``results``: the tracked frames of the session. Coefficients come from the sliders, or from the frame that the
-    player shows; the chart shows one expression, initial against re-solved.
+    player shows; ``COMPARED`` shows one character by initial and by re-solved coefficients and with the correctives. The
+    chart shows one expression, initial against re-solved.
     """
 
     def __init__(
@@ -53,28 +58,30 @@ class RetargetingStudy:
 
     def _make_widget(self, fps: float) -> None:
         self.mode = widgets.ToggleButtons(
-            options=[RESOLVED, INITIAL, CORRECTIVES, SLIDERS], style={"button_width": "auto"}
+            options=[RESOLVED, INITIAL, CORRECTIVES, COMPARED, SLIDERS], style={"button_width": "auto"}
         )
         self.sliders = {
             name: widgets.FloatSlider(0, min=0, max=1, step=0.05, description=name, style=_STYLE, layout=_WIDE)
             for name in self.names
         }
-        self.turn = widgets.FloatSlider(0, min=-80, max=80, step=5, description="turn", style=_STYLE, layout=_WIDE)
+        names = [character.name for character in self.characters]
+        self.compared = widgets.Dropdown(options=names, description="compare on", style=_STYLE, layout=_WIDE)
         self.expression = widgets.Dropdown(options=self.names, description="chart", style=_STYLE, layout=_WIDE)
         self.player = Player(len(self.results), lambda index: self.draw(), fps)
         self.chart = LiveChart((INITIAL, RESOLVED), (0, len(self.results) - 1), (-0.02, 1.02), "frame", "coefficient",
                                "initial against re-solved", size=(460, 220))  # fmt: skip
         self.message = widgets.HTML()
-        self._image = image_widget(self.pane * (1 + len(self.characters)), self.pane, name="adaptiveface-characters")
+        self.view = Turntable(width=self.pane * (1 + len(self.characters)), height=self.pane, name="adaptiveface-characters")
         redraw = on_main_thread(self._redraw)
-        for control in (self.mode, self.turn, self.expression):
+        for control in (self.mode, self.compared, self.expression):
             control.observe(lambda change: redraw(), "value")
+        self.view.observe(lambda change: redraw(), "camera")
         for slider in self.sliders.values():
             slider.observe(lambda change: self._to_sliders(redraw), "value")
         box = widgets.VBox(list(self.sliders.values()), layout=widgets.Layout(max_height="260px", overflow="auto"))
-        below = widgets.HBox([box, widgets.VBox([self.expression, self.turn, self.chart.widget])],
+        below = widgets.HBox([box, widgets.VBox([self.compared, self.expression, self.chart.widget])],
                              layout=widgets.Layout(flex_flow="row wrap"))  # fmt: skip
-        self.widget = widgets.VBox([self._image, self.mode, self.player.widget, self.message, below])
+        self.widget = widgets.VBox([self.view, self.mode, self.player.widget, self.message, below])
 
     def _to_sliders(self, redraw) -> None:
         if self.mode.value != SLIDERS:
@@ -86,24 +93,32 @@ class RetargetingStudy:
         with shown_errors(lambda text: setattr(self.message, "value", text)), one_blas_thread():
             self.draw()
 
-    def coefficients(self, index: int) -> np.ndarray:
-        """(A,) what drives the characters at a frame."""
-        if self.mode.value == SLIDERS:
+    def coefficients(self, index: int, mode: str | None = None) -> np.ndarray:
+        """(A,) what drives the characters at a frame, in the mode that is chosen or in another one."""
+        mode = mode or self.mode.value
+        if mode == SLIDERS:
             return np.array([slider.value for slider in self.sliders.values()])
-        return (self.initial if self.mode.value == INITIAL else self.resolved)[index]
+        return (self.initial if mode == INITIAL else self.resolved)[index]
+
+    def faces(self, index: int) -> list[tuple[Character, np.ndarray, str]]:
+        """Who is shown: face, head-frame mesh (V, 3), title. The actor first, then every character, or one three times."""
+        mode = self.mode.value
+        own = self._self.shape(self.coefficients(index)) if mode == SLIDERS else self.results[index].v4
+        out = [(self._self, own, "actor")]
+        if mode == COMPARED:
+            one = next(c for c in self.characters if c.name == self.compared.value)
+            return out + [(one, self._driven(one, index, m), m) for m in (INITIAL, RESOLVED, CORRECTIVES)]
+        return out + [(character, self._driven(character, index, mode), character.name) for character in self.characters]
 
     def shapes(self, index: int) -> list[np.ndarray]:
-        """Head-frame meshes of the actor and of every character."""
-        x = self.coefficients(index)
-        first = self._self.shape(x) if self.mode.value == SLIDERS else self.results[index].v4
-        curves = self._table.curves(x[None])
-        out = [first]
-        for character in self.characters:
-            shape = character.shape(character.weights(curves)[0])
-            if self.mode.value == CORRECTIVES and character.shares_topology(self.actor.triangles):
-                shape[: character.skin] += self._correctives(character)[index]
-            out.append(shape)
-        return out
+        """Head-frame meshes of :meth:`faces`."""
+        return [shape for _, shape, _ in self.faces(index)]
+
+    def _driven(self, character: Character, index: int, mode: str) -> np.ndarray:
+        shape = character.shape(character.weights(self._table.curves(self.coefficients(index, mode)[None]))[0])
+        if mode == CORRECTIVES and character.shares_topology(self.actor.triangles):
+            shape[: character.skin] += self._correctives(character)[index]
+        return shape
 
     def _correctives(self, character: Character) -> np.ndarray:
         """(F, V, 3) transferred v4 - v1 of every frame, computed when first asked for."""
@@ -118,16 +133,21 @@ class RetargetingStudy:
         return self._added[character.name]
 
     def picture(self) -> np.ndarray:
-        """(pane, n pane, 3) uint8: everybody at the player's frame."""
+        """(pane, n pane, 3) uint8: everybody at the player's frame, all seen from the same side."""
         index = self.player.index
+        turn, tilt, zoom = self.view.camera
         rotation = FACING if self.mode.value == SLIDERS else self.results[index].rigid[:3, :3]
-        turned = rotation @ rotation_vector_matrix(np.array([0.0, np.radians(self.turn.value), 0.0]))
-        faces = zip([self._self, *self.characters], self.shapes(index), strict=True)
-        return np.hstack([portrait(face, shape, self.pane, turned, rays=1) for face, shape in faces])
+        for axis, degrees in ((0, tilt), (1, -turn)):
+            rotation = rotation @ rotation_vector_matrix(np.radians(degrees) * np.eye(3)[axis])
+        panes = []
+        for face, shape, title in self.faces(index):
+            pane = portrait(face, shape, self.pane, rotation, rays=1, zoom=zoom)
+            panes.append(cv2.putText(pane, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (60, 60, 60), 1, cv2.LINE_AA))
+        return np.hstack(panes)
 
     def draw(self) -> None:
         """Everybody, and the chart."""
-        self._image.value = encode(self.picture())
+        self.view.value = encode(self.picture())
         k = self.names.index(self.expression.value)
         self.chart.update(self.player.index, **{INITIAL: self.initial[:, k], RESOLVED: self.resolved[:, k]})
 
@@ -141,4 +161,4 @@ class RetargetingStudy:
         display(self.widget)
 
 
-__all__ = ["CORRECTIVES", "INITIAL", "RESOLVED", "SLIDERS", "RetargetingStudy"]
+__all__ = ["COMPARED", "CORRECTIVES", "INITIAL", "RESOLVED", "SLIDERS", "RetargetingStudy"]
