@@ -155,6 +155,14 @@ class BlendshapeParameters(_Stage):
     temporal: float = parameter(
         30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
     )
+    turned: float = parameter(
+        100.0,
+        "how many times stiffer than from the front the coefficients are held in a profile view",
+        low=1,
+        high=1e4,
+        log=True,
+        paper=1.0,
+    )
     every: int = parameter(
         3, "the rigid and the blendshape fit take every so many vertices", section="4.2", low=1, high=20, paper=1
     )

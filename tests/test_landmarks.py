@@ -16,7 +16,7 @@ import pytest
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError
 from adaptiveface.frame import FEATURE_IDS, MEDIAPIPE_INDICES
 from adaptiveface.landmarks import FeatureDetector, face_landmarker_file, model_file
-from adaptiveface.landmarks.detector import confidence, foreground_box
+from adaptiveface.landmarks.detector import TRUST, confidence, foreground_box
 from adaptiveface.mesh import rigid_alignment, transform_points
 from adaptiveface.sensors import Recording
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -128,7 +128,7 @@ def test_confidence_falls_as_the_face_turns_away_and_first_on_the_far_side():
     mean = []
     for degrees in (0, 20, 40, 60, 80, 100):
         mesh, triangles = turned_dome(degrees)
-        trust = confidence(mesh, triangles)
+        trust = confidence(mesh, triangles) / TRUST
         assert ((trust >= 0) & (trust <= 1)).all()
         mean.append(trust.mean())
     assert mean[0] > 0.8 and mean == sorted(mean, reverse=True) and mean[-1] < 0.01
@@ -176,7 +176,7 @@ def test_the_real_face_is_found_from_frame_9_on_and_sits_on_a_rigid_head(detecto
         seen = (lifted[0][:, 2] > 0) & (other[:, 2] > 0)
         moved = transform_points(rigid_alignment(other[seen], lifted[0][seen]), other[seen])
         assert np.median(np.linalg.norm(moved - lifted[0][seen], axis=1)) < 3.0
-    profile, front = found[12].confidence, found[60].confidence
+    profile, front = found[12].confidence / TRUST, found[60].confidence / TRUST
     assert profile.mean() < 0.1 < 0.5 < front.mean()
 
 

@@ -66,6 +66,22 @@ def _depth_jacobian(points, normals, turned, weights, basis, centre):
     return jacobian
 
 
+#: Angle between the face's direction and the camera: up to the first a face is seen from the front, from the second on
+#: it is a profile, degrees.
+FRONT, PROFILE = 30.0, 70.0
+
+
+def turned_away(pose: np.ndarray, centre: np.ndarray) -> float:
+    """0 for a face seen from the front to 1 in profile; ``pose`` (4, 4) head to camera, ``centre`` (3,) camera frame, mm.
+
+    In profile half of the face is hidden and the rest is seen at a grazing angle: a rigid head's fit opened its mouth by
+    19 mm there, from depth alone, unless its coefficients were held back (``blendshapes.turned``).
+    """
+    cosine = -(pose[:3, 2] @ centre) / np.linalg.norm(centre)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return float(np.clip((angle - FRONT) / (PROFILE - FRONT), 0.0, 1.0))
+
+
 class BlendshapeFit:
     """Equations (1) and (2): depth (point to plane) and 2D features, solved for bounded coefficients.
 
@@ -141,7 +157,8 @@ class BlendshapeFit:
             turn = np.einsum("abc,fb,frc->fra", CROSS, lever, in_camera)
             jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
             add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
-        ridge = np.concatenate([np.full(6, 1e-6), np.full(count, p.ridge + p.temporal)])
+        stiff = p.ridge * p.turned ** turned_away(pose, centre)
+        ridge = np.concatenate([np.full(6, 1e-6), np.full(count, stiff + p.temporal)])
         equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
         equations.g[6:] += p.temporal * previous
         return equations, centre

@@ -15,6 +15,7 @@ from .adaptive_pca import AdaptiveModel
 from .depth_surface import DepthSurface, crop_window, depth_surface, find_correspondences, occluded_share
 from .detection import pose_from_features
 from .expression import BlendshapeFit
+from .feature_confidence import weigh_features
 from .feature_rows import feature_rows, reprojection_errors
 from .kalman import CoefficientFilter
 from .laplacian import LaplacianDeformation, feature_term
@@ -78,6 +79,9 @@ class FaceTracker:
         if rigid is None:
             self.forget()
             return self.untracked(frame, self._reason(frame), ms)
+        with timed(ms, "preprocess"):
+            expected = transform_points(rigid.pose, self.blendshapes.feature_points(self._x))
+            frame = weigh_features(frame, expected)
 
         with timed(ms, "blendshapes"):  # section 4.2
             stiff = normals[self._fitted]
