@@ -22,6 +22,8 @@ from .types import STAGE_NAMES, SampleState, TrackedFrame
 
 #: The parameters' pixels are those of a depth camera with about this focal length, px; frames are brought to it.
 REFERENCE_FOCAL = 525.0
+#: Detected features come with the little confidence they deserve beside depth; here there is nothing beside them.
+ALONE = 1.0 / 0.3
 #: A face is seen from this many features on.
 MIN_FEATURES = 6
 #: Rounds of the joint fit where the pose was found anew: it starts farther away.
@@ -97,7 +99,7 @@ def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
     scale = REFERENCE_FOCAL / camera.fx
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     scaled = Camera(*size, camera.fx * scale, camera.fy * scale, camera.cx * scale, camera.cy * scale)
-    features = Features2D(frame.features.pixels * scale, frame.features.confidence)
+    features = Features2D(frame.features.pixels * scale, ALONE * frame.features.confidence)
     return dataclasses.replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
 
 

@@ -157,7 +157,7 @@ class BlendshapeFit:
             turn = np.einsum("abc,fb,frc->fra", CROSS, lever, in_camera)
             jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
             add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
-        stiff = p.ridge * p.turned ** turned_away(pose, centre)
+        stiff = p.ridge * (1.0 if surface is None else p.turned ** turned_away(pose, centre))
         ridge = np.concatenate([np.full(6, 1e-6), np.full(count, stiff + p.temporal)])
         equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
         equations.g[6:] += p.temporal * previous
