@@ -37,19 +37,22 @@ def uncovered(depth: np.ndarray, camera: Camera, points: np.ndarray, radius: int
     return 1.0 - np.clip((behind - COVER_FROM) / (COVER_TO - COVER_FROM), 0.0, 1.0)
 
 
-def weigh_features(frame: RgbdFrame, points: np.ndarray) -> tuple[RgbdFrame, float]:
-    """The frame with its features' confidences lowered where they are covered, and the covered share of the 40.
+def weigh_features(frame: RgbdFrame, points: np.ndarray) -> RgbdFrame:
+    """The frame with its features' confidences lowered where they are covered.
 
     points (40, 3) mm, camera frame: where the features are expected. What of a region is left uncovered counts less as
     well, down to nothing when half of it is covered: a detector moves the seen part along with the part it guesses.
+    Measured with a blob 25 mm before a mouth (``tests/test_live_features.py``): the lips go astray by at most 2.8 mm,
+    by 7.2 mm with the detector's own confidences.
     """
+    if frame.features is None:
+        return frame
     seen = uncovered(frame.depth, frame.camera, points)
-    share = float(1.0 - seen.mean())
-    if frame.features is None or share == 0.0:
-        return frame, share
+    if seen.min() == 1.0:
+        return frame
     weight = seen.copy()
     for region in np.unique(FEATURE_REGIONS):
         mine = FEATURE_REGIONS == region
         weight[mine] *= np.clip(1.0 - 2.0 * (1.0 - seen[mine].mean()), 0.0, 1.0)
     features = dataclasses.replace(frame.features, confidence=frame.features.confidence * weight)
-    return dataclasses.replace(frame, features=features), share
+    return dataclasses.replace(frame, features=features)
