@@ -114,6 +114,22 @@ def test_without_an_actor_the_neutral_is_scanned_by_text(tmp_path, monkeypatch, 
     assert 8 <= len(result) < 20 and result.tracked.all()
 
 
+def test_a_recording_that_is_all_scan_says_so_and_keeps_the_actor(tmp_path, monkeypatch, capsys):
+    performer = SyntheticSensor(5, neutral_frames=10, frames=0, repeats=1, colour=False)
+    play(monkeypatch, [raw(f, i) for i, f in enumerate(performer)])
+    quick = ["fit.iterations=8", "shrink_wrap.iterations=3", "fusion.passes=1", "fusion.voxel=4"]
+    assert live("scripted", "--headless", "--save-actor", tmp_path / "a.npz", "--set", *quick) == 2
+    assert "the recording ended with the neutral scan" in capsys.readouterr().err and (tmp_path / "a.npz").is_file()
+
+
+def test_a_sensor_without_depth_is_not_recorded(take, tmp_path, monkeypatch, capsys):
+    sensor = LiveSensor(lambda: ScriptedDriver(steps_of(take)))
+    sensor.colour_only = True
+    monkeypatch.setitem(catalogue._KINDS, "scripted", lambda _: sensor)
+    assert live("scripted", "--headless", "--actor", take[1], "--record", tmp_path / "rec") == 2
+    assert "no depth, and a recording is made of depth" in capsys.readouterr().err and not (tmp_path / "rec").exists()
+
+
 def test_a_sensor_that_fails_for_good_ends_with_its_error_and_the_result_is_kept(take, tmp_path, monkeypatch, capsys):
     play(monkeypatch, [*steps_of(take)[:5], SensorDisconnectedError("scripted: unplugged")], reconnect=False)
     assert live("scripted", "--headless", "--actor", take[1], "--out", tmp_path / "r.npz") == 2

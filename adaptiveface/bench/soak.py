@@ -85,7 +85,9 @@ def soak(minutes: float, make_detector=TimedDetector, frames: int = 70, every: f
     Returns the figures and the samples (n, 4): seconds, resident bytes, threads, file handles. Raises
     :class:`MissingExtraError` without psutil.
     """
-    sample, rows, count = _sampler(), [], [0, 0]
+    sample, count, taken = _sampler(), [0, 0], 0
+    # All in memory before the first sample: a list that grew by one row a second would be the trend that is found.
+    rows = np.full((int(60 * minutes / every) + 2, 4), np.nan)
     actor, sensor = live_scene(FastDriver, frames)
     detector = make_detector()
 
@@ -97,13 +99,14 @@ def soak(minutes: float, make_detector=TimedDetector, frames: int = 70, every: f
         session.latest(timeout=60.0)
         start = time.perf_counter()
         while (now := time.perf_counter() - start) < 60 * minutes:
-            rows.append((now, *sample()))
+            rows[taken] = now, *sample()
+            taken += 1
             if hasattr(detector, "ms"):
                 detector.ms.clear()
             session.latest()  # raises what went wrong
             tick(now)
             time.sleep(every)
-    return _figures(np.array(rows), minutes, count), np.array(rows)
+    return _figures(rows[:taken], minutes, count), rows[:taken]
 
 
 def _figures(rows: np.ndarray, minutes: float, count: list[int]) -> SoakFigures:

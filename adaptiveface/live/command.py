@@ -13,14 +13,14 @@ from ..actor import Actor
 from ..blas import one_blas_thread
 from ..errors import AdaptiveFaceError, EndOfRecording, ParameterError, SensorError, TrackingError
 from ..export.result import ResultBuilder
-from ..face_model import embedded_face_model
-from ..neutral.capture import build_actor
+from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
 from ..sensors.catalogue import list_sensors, open_sensor
-from ..sensors.live import LiveSensor
+from ..sensors.live import LiveFrame, LiveSensor
 from .feed import FeatureFeed
-from .guided import Guidance, GuidedCapture
+from .guided import STEPS, Guidance, GuidedCapture
 from .recorder import LiveRecorder
+from .run import COLOUR_FRAMES
 from .session import LiveSession
 from .status import StatusLine
 
@@ -113,13 +113,9 @@ class _Headless:
 
     # ---- the neutral scan ------------------------------------------------------------------------------------------
     def _capture(self, feed: FeatureFeed) -> Actor:
-        """A rig by the guided neutral scan; the average head for a camera without depth."""
-        if getattr(feed.sensor, "colour_only", False):
-            print(
-                "no depth: the degraded mode on the average head; sizes and distances are guesses, nothing is learned"
-            )
-            model = embedded_face_model()
-            return build_actor(model, model.mean)
+        """A rig by the guided neutral scan."""
+        if feed.sensor.colour_only:
+            return self._proportions(feed)
         guide, spoken = GuidedCapture(), None
         print("neutral scan: keep your face relaxed")
         while not guide.done:
@@ -144,9 +140,29 @@ class _Headless:
         self.line.end()
         return actor
 
+    def _proportions(self, feed: FeatureFeed) -> Actor:
+        """Without depth: the average head with the person's proportions, from some frames that show the face."""
+        print("no depth: a degraded mode; sizes and distances are guesses, and nothing is learned")
+        print(f"  {STEPS['straight']}")
+        frames: list[LiveFrame] = []
+        while len(frames) < COLOUR_FRAMES:
+            try:
+                frame = feed.read(1.0)
+            except EndOfRecording:
+                break
+            except SensorError as error:
+                if not feed.running:
+                    raise
+                self.line.show(str(error))
+                continue
+            frames += [frame] if frame.features is not None else []
+            self.line.show(f"{len(frames) / COLOUR_FRAMES:4.0%} " + ("" if frame.features is not None else "no face"))
+        self.line.end()
+        return capture_colour_actor(frames, parameters=self.parameters)
+
     # ---- tracking --------------------------------------------------------------------------------------------------
     def _track(self, feed: FeatureFeed) -> None:
-        builder = ResultBuilder(self.actor, self.parameters, FIRST_RESULTS) if self.args.out else None
+        builder = self._builder(feed.sensor.colour_only) if self.args.out else None
         callbacks = [lambda result: builder.add(result.tracked)] if builder else []
         callbacks += self._streams()
         session = LiveSession(feed, self.actor, self.parameters, callbacks)
@@ -161,8 +177,17 @@ class _Headless:
                 result = builder.finish(session.model.correctives)
                 result.save(self.args.out)
                 print(f"{self.args.out}: {result.summary()}")
-        if not session.statistics.tracked:
+        statistics = session.statistics
+        if session.ended and not statistics.tracked + statistics.lost:
+            raise TrackingError(
+                f"{feed.sensor.name}: the recording ended with the neutral scan; keep it by --save-actor FILE, then "
+                "track with --actor FILE"
+            )
+        if not statistics.tracked:
             raise TrackingError(f"{feed.sensor.name}: the face was never found")
+
+    def _builder(self, colour_only: bool) -> ResultBuilder:
+        return ResultBuilder(self.actor, self.parameters, FIRST_RESULTS, colour_only=colour_only)
 
     def _follow(self, session: LiveSession) -> None:
         start, last = time.monotonic(), -1

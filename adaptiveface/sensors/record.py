@@ -126,11 +126,7 @@ def record_sensor(
     full disk, the sensor's :class:`SensorError`, :class:`FileFormatError` for a folder that holds a recording already;
     whatever was recorded until then stays.
     """
-    if sensor.colour_only:
-        raise SensorError(
-            f"{sensor.name}: no depth, and a recording is made of depth; record a video with any camera program, "
-            "adaptiveface track reads it"
-        )
+    check_has_depth(sensor)
     sensor.buffer(BACKLOG)
     first = sensor.read(timeout=5.0)
     depth_scale = min(max(sensor.depth_scale, 100.0), 100_000.0)
@@ -183,3 +179,12 @@ def check_new(folder: Path) -> None:
         raise FileFormatError(f"{folder}: already holds a recording; name another folder")
     if folder.exists() and not folder.is_dir():
         raise FileFormatError(f"{folder}: is a file, the name of a new folder is expected")
+
+
+def check_has_depth(sensor: LiveSensor) -> None:
+    """Raise :class:`SensorError` for a sensor without depth: its recording would be none."""
+    if sensor.colour_only:
+        raise SensorError(
+            f"{sensor.name}: no depth, and a recording is made of depth; record a video with any camera program, "
+            "adaptiveface track reads it"
+        )
