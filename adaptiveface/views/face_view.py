@@ -16,6 +16,8 @@ from .pictures import encode, image_widget
 from .turntable import LIMITS, Turntable
 
 SKIN = (205.0, 170.0, 150.0)
+#: How far behind the face the views turn, mm.
+PIVOT_DEPTH = 50.0
 #: A colour map that people with any colour vision can order, and that survives printing in grey.
 COLOURMAP = "viridis"
 
@@ -129,9 +131,12 @@ class FaceView:
         a, e = np.radians(turn), np.radians(tilt)
         away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
         self._away = away
+        # About the middle of the skull: about the face, a profile's back of the head would leave the pane.
+        pivot = self.centre - np.array([0.0, 0.0, PIVOT_DEPTH])
         for renderer in self.plotter.renderers:
             camera = renderer.camera
-            camera.focal_point, camera.position, camera.up = self.centre, self.centre + 700.0 * away, (0.0, 1.0, 0.0)
+            camera.focal_point, camera.up = pivot, (0.0, 1.0, 0.0)
+            camera.position = pivot + (700.0 + PIVOT_DEPTH) * away
             camera.view_angle = float(np.degrees(2 * np.arctan(self._radius / 700.0 / zoom)))
             camera.clipping_range = (100.0, 2000.0)
         self.refresh()

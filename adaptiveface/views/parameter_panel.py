@@ -17,6 +17,8 @@ TITLES = {
     "kalman": "Kalman filter (4.2)", "laplacian": "Laplacian (4.3, 4.4)",
     "adaptive_pca": "adaptive PCA (5)",
 }  # fmt: skip
+#: Jupyter's tabs have one width and cut longer titles off.
+TAB_STYLE = "<style>.adaptiveface-tabs .lm-TabBar-tab {flex: 0 0 auto !important; max-width: none !important}</style>"
 OnChange = Callable[[Parameters], None]
 
 
@@ -81,7 +83,9 @@ class ParameterPanel:
         titles = [TITLES.get(stage, stage) for stage in groups]
         if len(titles) > 5:  # no room for the sections
             titles = [title.partition(" (")[0] for title in titles]
-        return widgets.Tab(boxes, titles=titles)
+        tabs = widgets.Tab(boxes, titles=titles)
+        tabs.add_class("adaptiveface-tabs")
+        return widgets.VBox([widgets.HTML(TAB_STYLE, layout=widgets.Layout(display="none")), tabs])
 
     def _control(self, row: dict, limits) -> widgets.Widget:
         name = f"{row['stage']}.{row['name']}"
@@ -102,7 +106,7 @@ class ParameterPanel:
             paper = widgets.Button(
                 description=f"paper: {_short(row['paper'])}",
                 tooltip="set the paper's value",
-                layout=widgets.Layout(width="120px"),
+                layout=widgets.Layout(width="auto", min_width="120px"),
             )
             paper.on_click(lambda _: _move(control, row["paper"]))
             parts.append(paper)

@@ -97,8 +97,9 @@ class IcpStudy(_Study):
             8, min=-40, max=40, step=1, description="turned by, degrees", style=_STYLE, layout=_WIDE
         )
         self.chart = LiveChart(
-            ("mean residual", "stop rule, 3 mm", "true error"), (0, 12), (0, 12), "iteration", "mm", "ICP, step by step"
-        )
+            ("mean residual", "stop rule, 3 mm", "true error"), (0, 12), (0.05, 100), "iteration", "mm, logarithmic",
+            "ICP, step by step", log=True,
+        )  # fmt: skip
         self._assemble([self.iteration, self.prune, self.shift, self.turn])
         box = self.widget.children[0]
         box.layout.max_height, box.children = None, (*box.children, self.chart.widget)
