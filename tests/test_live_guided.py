@@ -175,7 +175,7 @@ def test_the_real_head_is_scanned_on_both_sides(mannequin, detector):
     assert guidance.coverage["left"] == guidance.coverage["right"] == guidance.coverage["straight"] == 1.0
     assert guidance.coverage["up"] < 0.5 and not guidance.done
     assert guide.finish().warnings == (
-        "the head hardly turned up, down: its sides are taken from the average head",
+        "the head hardly turned up, down: what shows only from there comes from the average head",
     )
     assert MIN_FRAMES < len(guide.frames) <= 60
     assert guide.vertex_coverage[guide.model.frontal].mean() > 0.85

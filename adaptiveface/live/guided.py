@@ -266,7 +266,7 @@ class GuidedCapture:
         out = []
         missing = [name for name, share in coverage.items() if share < ENOUGH and name != "straight"]
         if missing:
-            out.append(f"the head hardly turned {', '.join(missing)}: its sides are taken from the average head")
+            out.append(f"the head hardly turned {', '.join(missing)}: what shows only from there comes from the average head")
         if sum(kept.clean for kept in self._kept) < MIN_FRAMES:
             out.append("hardly a frame was without a warning: the head may hold an expression or lack detail")
         return tuple(out)

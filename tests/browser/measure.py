@@ -1,4 +1,4 @@
-"""Measure in a real browser how the notebooks feel: ``python tests/browser/measure.py``.
+"""Measure in a real browser how the notebooks feel: ``python tests/browser/measure.py [live]`` (only the live view).
 
 Prints the median time from a slider's movement to the new picture on the page, and the pictures per second of a playback
 that learns, and of the live view. On synthetic input, with software rendering; the machine's load is printed beside them.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import statistics
+import sys
 import tempfile
 from pathlib import Path
 
@@ -67,7 +68,10 @@ def live_view(folder: Path, address: str) -> None:
 def main() -> None:
     names = ("05_laplacian_deformation.ipynb", "06_incremental_pca.ipynb")
     with tempfile.TemporaryDirectory() as folder, lab.jupyter_lab(Path(folder), names) as address:
+        live_view(Path(folder), address)
         for name, parameter in zip(names, ("laplacian.w2", "adaptive_pca.K"), strict=True):
+            if "live" in sys.argv[1:]:
+                break
             with lab.chromium_page() as page:
                 lab.open_notebook(page, address, name)
                 lab.run_cells(page, lab.cell_with(name, "views.Workbench("))
@@ -87,7 +91,6 @@ def main() -> None:
                     page.wait_for_timeout(1500)
                     rate = playback_rate(page, button)
                     print(f"{name}: {what}: {rate:.1f} pictures/s (load {os.getloadavg()[0]:.1f})", flush=True)
-        live_view(Path(folder), address)
 
 
 if __name__ == "__main__":
