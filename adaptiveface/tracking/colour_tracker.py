@@ -99,7 +99,8 @@ def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
     scale = REFERENCE_FOCAL / camera.fx
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     scaled = Camera(*size, camera.fx * scale, camera.fy * scale, camera.cx * scale, camera.cy * scale)
-    features = Features2D(frame.features.pixels * scale, ALONE * frame.features.confidence)
+    alone = np.minimum(ALONE * frame.features.confidence, 1.0)
+    features = Features2D(frame.features.pixels * scale, alone)
     return dataclasses.replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
 
 
