@@ -132,6 +132,15 @@ def test_a_recording_cut_off_in_the_middle_is_refused(tmp_path):
         open_sensor(str(path))
 
 
+def test_a_recording_whose_frames_the_library_does_not_deliver(tmp_path):
+    """It needs the property xnCropping of each stream, and says nothing where it is missing."""
+    path = tmp_path / "take.oni"
+    write(path)
+    path.write_bytes(path.read_bytes().replace(b"xnCropping", b"noCropping"))
+    with open_sensor(str(path)) as sensor, pytest.raises(FileFormatError, match="take.oni: plays no depth"):
+        sensor.read(20)
+
+
 def test_closing_is_quick_and_may_be_repeated(tmp_path):
     path = write(tmp_path / "take.oni")
     for _ in range(3):
@@ -218,6 +227,7 @@ def test_the_library_s_dummy_camera_streams_live():
     assert images == "(240, 320) (240, 320, 3) 2000.0 [0, 0, 255]"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pixel_format,scale", [(DEPTH_1_MM, 1000), (DEPTH_100_UM, 10_000)])
 def test_the_same_performance_tracks_to_the_same_result(tmp_path, capsys, pixel_format, scale):
     p = performance()

@@ -30,7 +30,7 @@ from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner
 WIDTH, HEIGHT, FPS = 640, 480, 30
 #: A picture further than this many frames from its depth is not the same moment.
 MAX_SKEW_FRAMES = 0.6
-#: Playback that gives nothing for so long has ended (a truncated file), s.
+#: Playback that gives nothing for so long will give nothing any more, s.
 PLAYBACK_PATIENCE = 3.0
 #: A camera that gives nothing for so long is looked for, s.
 LIVE_PATIENCE = 1.0
@@ -228,11 +228,11 @@ class OpenNI2Driver:
             if silent > LIVE_PATIENCE and self._device.uri not in [uri for uri, _ in self._library.devices()]:
                 raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
         elif silent > PLAYBACK_PATIENCE:
-            self._end()
+            if self._read:
+                raise FileFormatError(f"{self.path}: broken after {self._read} of {self._count} depth frames")
+            raise FileFormatError(f"{self.path}: plays no depth; it is broken or lacks the properties of its streams")
 
     def _end(self) -> None:
-        if not self._read:
-            raise FileFormatError(f"{self.path}: plays no depth; it is truncated or lacks the properties of its streams")
         raise EndOfRecording(f"{self.path}: the end of the recording")
 
 

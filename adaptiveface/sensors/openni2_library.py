@@ -104,10 +104,9 @@ class Frame(ctypes.Structure):
             raise OpenNI2Error(1, f"a frame of {self.size} bytes is not {self.width} x {self.height} pixels")
         rows = np.ctypeslib.as_array((ctypes.c_uint8 * (self.stride * self.height)).from_address(self.data))
         pixels = np.ascontiguousarray(rows.reshape(self.height, self.stride)[:, : self.width * item]).view(dtype)
+        pixels = pixels.reshape(self.height, self.width, channels)
         full = np.zeros((self.mode.height, self.mode.width, channels), dtype)
-        full[self.y : self.y + self.height, self.x : self.x + self.width] = pixels.reshape(
-            self.height, self.width, channels
-        )
+        full[self.y : self.y + self.height, self.x : self.x + self.width] = pixels
         return full if channels == 3 else full[..., 0]
 
 
@@ -126,9 +125,7 @@ _SIGNATURES = {  # name: argument types; all return a status, except those of _O
     "oniStreamReadFrame": [c_void_p, POINTER(POINTER(Frame))], "oniFrameRelease": [POINTER(Frame)],
 }  # fmt: skip
 _OTHER_RESULTS = {
-    **dict.fromkeys(
-        ("oniReleaseDeviceList", "oniStreamDestroy", "oniStreamStop", "oniFrameRelease"), None
-    ),
+    **dict.fromkeys(("oniReleaseDeviceList", "oniStreamDestroy", "oniStreamStop", "oniFrameRelease")),
     "oniGetExtendedError": c_char_p, "oniDeviceGetSensorInfo": POINTER(_SensorInfo),
 }  # fmt: skip
 _FLAGS = (
