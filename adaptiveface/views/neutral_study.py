@@ -61,7 +61,9 @@ class ScanStudy(_Study):
 
     def __init__(self, session: Session, voxel: float = 2.0) -> None:
         self.session, self.model = session, embedded_face_model()
-        most = len(session.neutral)
+        # A recording may begin before the detector finds a face: the first frame to merge must show one.
+        self.neutral = [frame for frame in session.neutral if frame.features is not None] or session.neutral
+        most = len(self.neutral)
         self.view = FaceView(
             self.model.mean, self.model.triangles, ("merged scan",), limits=(0, most),
             label="depth frames that saw the point", centre=self.model.mean[self.model.frontal].mean(axis=0),
@@ -84,7 +86,7 @@ class ScanStudy(_Study):
 
     def draw(self) -> None:
         parameters = FusionParameters(voxel=self.voxel.value, passes=1, min_views=0.0)
-        self.scan = fuse_frames(self.session.neutral[: self.frames.value], self.model, parameters)
+        self.scan = fuse_frames(self.neutral[: self.frames.value], self.model, parameters)
         self.view.show_points(0, self.scan.points, self.scan.weights, self.scan.normals, count=20_000)
         self.note = (f"{len(self.scan.frames)} frames registered, {len(self.scan.points)} points, median distance of a "
                      f"frame to the merged surface {np.median(self.scan.residuals):.2f} mm")  # fmt: skip
