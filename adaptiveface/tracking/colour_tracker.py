@@ -16,6 +16,7 @@ from ..frame import Features2D, RgbdFrame
 from ..mesh import transform_points
 from ..parameters import Parameters
 from .detection import pose_from_features
+from .expression import HeldPose
 from .feature_rows import reprojection_errors
 from .tracker import FaceTracker, timed
 from .types import STAGE_NAMES, SampleState, TrackedFrame
@@ -24,6 +25,10 @@ from .types import STAGE_NAMES, SampleState, TrackedFrame
 REFERENCE_FOCAL = 525.0
 #: Detected features come with the little confidence they deserve beside depth; here there is nothing beside them.
 ALONE = 1.0 / 0.3
+#: Then all weigh less against the penalties than beside depth: wrong by a pixel, they would bend the face.
+TRUST = 0.15
+#: Penalties on the head's motion from frame to frame, per rad^2 and per mm^2, in the units of equation (1).
+TURN, SHIFT = 3000.0, 0.05
 #: A face is seen from this many features on.
 MIN_FEATURES = 6
 #: Rounds of the joint fit where the pose was found anew: it starts farther away.
@@ -45,8 +50,9 @@ class ColourTracker(FaceTracker):
             return self._lose(frame, ms, "the head was not found")
         with timed(ms, "blendshapes"):  # equations (1) and (2) without the depth term
             x = self._x
+            held = None if self.pose is None else HeldPose(self.pose, TURN, SHIFT)
             for _ in range(rounds):
-                pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None)
+                pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None, held)
             limits = self.parameters.blendshapes
             x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
             v1 = self.blendshapes.shape(x)
@@ -71,6 +77,7 @@ class ColourTracker(FaceTracker):
         """The last pose where it still fits roughly, else one from the features (perspective-n-point); fit rounds."""
         if self.pose is not None and self._error(frame, self.pose, self._x) < 5.0 * self.parameters.rigid.relocate:
             return self.pose, 1
+        self.pose = None  # it is not held where it was wrong
         return pose_from_features(frame, self.blendshapes.feature_points(self._x)), FIRST_ROUNDS
 
     def _error(self, frame: RgbdFrame, pose: np.ndarray, x: np.ndarray) -> float:
@@ -100,7 +107,7 @@ def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     scaled = Camera(*size, camera.fx * scale, camera.fy * scale, camera.cx * scale, camera.cy * scale)
     alone = np.minimum(ALONE * frame.features.confidence, 1.0)
-    features = Features2D(frame.features.pixels * scale, alone)
+    features = Features2D(frame.features.pixels * scale, TRUST * alone)
     return dataclasses.replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
 
 

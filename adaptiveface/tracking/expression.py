@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numba
 import numpy as np
 from scipy.linalg.blas import dsyrk
@@ -82,6 +83,23 @@ def turned_away(pose: np.ndarray, centre: np.ndarray) -> float:
     return float(np.clip((angle - FRONT) / (PROFILE - FRONT), 0.0, 1.0))
 
 
+@dataclass(frozen=True)
+class HeldPose:
+    """A penalty on the head's motion since the last frame's ``pose`` (4, 4): ``turn`` per rad^2, ``shift`` per mm^2."""
+
+    pose: np.ndarray
+    turn: float
+    shift: float
+
+    def add_to(self, equations: NormalEquations, pose: np.ndarray, middle: np.ndarray) -> None:
+        """Add it for an update of ``pose``, which turns about the head-frame point ``middle`` (3,), in place."""
+        turned = cv2.Rodrigues(pose[:3, :3] @ self.pose[:3, :3].T)[0].ravel()
+        shifted = transform_points(pose, middle) - transform_points(self.pose, middle)
+        weights = np.repeat([self.turn, self.shift], 3)
+        equations.h[np.arange(6), np.arange(6)] += weights
+        equations.g[:6] -= weights * np.concatenate([turned, shifted])
+
+
 class BlendshapeFit:
     """Equations (1) and (2): depth (point to plane) and 2D features, solved for bounded coefficients.
 
@@ -127,15 +145,18 @@ class BlendshapeFit:
         pose: np.ndarray,
         x: np.ndarray,
         normals: np.ndarray | None,
+        held: HeldPose | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Alternate between correspondences and bounded solve; returns (pose (4, 4), x (A,)).
 
         ``x`` the coefficients of the previous frame, ``normals`` (n, 3) head-frame normals of ``depth_vertices``.
-        Without a surface (None, and no normals) the features alone decide.
+        Without a surface (None, and no normals) the features alone decide, with the pose ``held`` near the last one.
         """
         previous = x
         for _ in range(self.parameters.iterations):
             equations, centre = self._assemble(surface, features, camera, pose, x, previous, normals)
+            if held is not None:
+                held.add_to(equations, pose, self._middle)
             update, x = self._solve(equations, x)
             if self.parameters.joint_pose:
                 pose = apply_rigid_update(pose, update, centre)
