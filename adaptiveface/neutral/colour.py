@@ -27,8 +27,8 @@ from .features import calibrated_features, constraints_on
 from .fuse import FusedScan
 
 DEFAULTS = Parameters()
-#: Expected deviation of the rays from the features' points, mm, and rounds of the Gauss-Newton solve.
-FEATURE_SIGMA, ROUNDS = 2.0, 8
+#: Deviation of the rays from the points of features with full confidence (detected: 0.3), mm; Gauss-Newton rounds.
+FEATURE_SIGMA, ROUNDS = 1.1, 8
 #: What many frames say alike counts as this many independent ones: a detector's errors stay from frame to frame.
 INDEPENDENT_FRAMES = 4.0
 
