@@ -17,7 +17,7 @@ from scenes import coefficients, exact_actor, head_pose, posed_shape, render_fra
 
 from adaptiveface import views  # noqa: E402
 from adaptiveface.actor import Actor  # noqa: E402
-from adaptiveface.errors import AdaptiveFaceError, RecordingError, SensorError  # noqa: E402
+from adaptiveface.errors import AdaptiveFaceError, FileFormatError, SensorError  # noqa: E402
 from adaptiveface.live.run import FAILED, TRACKING, LiveRun  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
 from adaptiveface.sensors.live import LiveSensor, RawFrame  # noqa: E402
@@ -174,8 +174,8 @@ def test_sliders_and_buttons_act_on_the_session(sensor, actor, strict, tmp_path)
         view.controls.record.value = True
         await view.until(lambda v: v._recorder.frames >= 5)
         view.controls.record.value = False
-        assert "frames recorded" in view.controls.status.value
-        with pytest.raises(RecordingError, match="already holds a recording"):
+        assert "frames in" in view.controls.status.value
+        with pytest.raises(FileFormatError, match="already holds a recording"):
             view.record()
         view.close()
 

@@ -172,8 +172,7 @@ class LiveRun:
             self._scan_one()
         self.state = BUILDING
         self.actor = self.guide.build(self._parameters, self._report)
-        if not self._closed:
-            self._track()
+        self._track()
 
     def _proportions_and_track(self) -> None:
         """Without depth: the average head, with what the 2D features of some frames tell about its proportions."""
@@ -192,8 +191,7 @@ class LiveRun:
             self.guidance = Guidance(text, "straight", share, {}, warnings, share >= 1)
         self.state = BUILDING
         self.actor = capture_colour_actor(frames, parameters=self._parameters)
-        if not self._closed:
-            self._track()
+        self._track()
 
     def _read(self) -> LiveFrame | None:
         """The newest frame, or None for a moment without."""
@@ -228,6 +226,8 @@ class LiveRun:
 
     def _track(self) -> None:
         with self._lock:
+            if self._closed:  # while the head was built, which close() does not wait for
+                return
             self.session = LiveSession(self.feed, self.actor, self._parameters, tuple(self._callbacks))
             self.state = TRACKING
 

@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from os import PathLike
+from pathlib import Path
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, TrackingError
+from ..live.recorder import LiveRecorder
 from ..live.run import BUILDING, CLOSED, FAILED, OPENING, SCANNING, TRACKING, LiveRun
 from ..live.session import LiveResult
 from ..parameters import Parameters
@@ -18,7 +20,6 @@ from ..sensors.live import LiveSensor
 from .kernel import BackgroundTask, on_main_thread, running_loop, strict
 from .live_controls import LiveControls, alert, coverage_bars, dropped_frames, figures, instruction
 from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
-from .live_recorder import LiveRecorder
 
 #: At most so many pictures of the face, and of the curves, a second.
 PICTURES, CHARTS = 25.0, 4.0
@@ -134,16 +135,17 @@ class LiveView:
 
     def record(self, on: bool = True) -> None:
         """Start or finish a recording in the folder that stands beside the button."""
-        if on and self._recorder is None and self.run is not None:
+        if on and self._recorder is None and self.run is not None and self.run.sensor is not None:
+            folder = self.controls.folder.value.strip() or time.strftime("recording-%Y%m%d-%H%M%S")
             try:
-                self._recorder = LiveRecorder(self.run, self.controls.folder.value.strip() or None)
+                self._recorder = LiveRecorder(self.run.sensor, Path(folder))
             finally:
                 self.controls.record.value = self._recorder is not None
             self._say(f"recording to {self._recorder.folder}")
         elif not on and self._recorder is not None:
             recorder, self._recorder = self._recorder, None
             self.controls.record.value = False
-            self._say(recorder.close())
+            self._say(str(recorder.close()))
 
     def save_actor(self, path: str | PathLike | None = None) -> None:
         """Write the head to a file, by default the one that stands beside the button."""
@@ -227,6 +229,8 @@ class LiveView:
         self._rate = (now, self.drawn)
         rate = (self.drawn - drawn) / max(now - before, 1e-3)
         dropped = [now - before for now, before in zip(dropped_frames(statistics), self._dropped_before, strict=True)]
+        if self._recorder is not None and self._recorder.error is not None:
+            self.record(False)  # raises what stopped it
         recorded = self._recorder.frames if self._recorder else None
         correctives = session.model.correctives.shape[1]
         self.controls.figures.value = figures(statistics, dropped, rate, correctives, recorded)
