@@ -95,16 +95,16 @@ class Replay:
             tracker.model = self._relearned(tracker, parameters, index)
         return tracker.track(self.frames[index])
 
-    def _relearned(self, tracker: FaceTracker, parameters: Parameters, index: int, most: int = 30) -> AdaptiveModel:
-        """A model fed with the earlier frames' deformations v2 - v1; at most ``most`` of them, to answer at once."""
+    def _relearned(self, tracker: FaceTracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
+        """What the earlier frames' deformations v2 - v1 teach; of at most ``most`` frames, to answer at once."""
         model = AdaptiveModel(self.actor, tracker.blendshapes.basis, parameters.adaptive_pca)
         samples = [
             r for r in self.results[:index] if r is not None and r.tracked and r.sample_state != SampleState.UNTRACKED
         ]
-        stride = max(1, -(-len(samples) // most))
-        if parameters.adaptive_pca.learn:
-            for result in samples[::stride]:
-                model.learn((result.v2 - result.v1)[self.actor.frontal].ravel())
+        if parameters.adaptive_pca.learn and samples:
+            stride = max(1, -(-len(samples) // most))
+            frontal = self.actor.frontal
+            model.learn_all(np.array([(r.v2[frontal] - r.v1[frontal]).ravel() for r in samples[::stride]]))
         return model
 
     def _restart(self, parameters: Parameters) -> None:

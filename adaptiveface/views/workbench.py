@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 
 import ipywidgets as widgets
@@ -18,6 +19,9 @@ from .pictures import CameraView
 from .player import Player
 from .replay import MakeTracker, Replay
 from .session import Session
+
+#: While a performance plays, the charts are redrawn at most so many times a second: the face comes first.
+CHARTS_PER_SECOND = 6.0
 
 #: A chart and the function that gives its lines: replay -> name -> values per frame.
 ChartSource = Callable[[Replay], dict[str, np.ndarray]]
@@ -45,7 +49,8 @@ class Workbench:
         self.view = FaceView.of(session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.15 * side)))
         self.camera = CameraView((260, 300)) if camera else None
         self.player = Player(len(session.frames), self.show)
-        self.message, self._live = widgets.HTML(), False
+        self.message, self._live, self._charts_due = widgets.HTML(), False, 0.0
+        self.player.button.observe(on_main_thread(lambda _: self._update_charts()), "value")
         restart = widgets.Button(
             description="learn live",
             icon="circle",
@@ -118,7 +123,9 @@ class Workbench:
             self.camera.show(frame, points, features)
         if self.extra is not None:
             self.extra(self.replay, index)
-        self._update_charts()
+        if not self.player.button.value or time.perf_counter() >= self._charts_due:
+            self._update_charts()
+            self._charts_due = time.perf_counter() + 1 / CHARTS_PER_SECOND
 
     def close(self) -> None:
         """Stop playback and background work, free the renderer, take the widgets away."""
