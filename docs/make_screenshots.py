@@ -1,8 +1,9 @@
 """Screenshots of the notebooks for the docs, from JupyterLab in a headless browser.
 
-    python docs/make_screenshots.py [--chromium /usr/bin/chromium] [00 05 ...]
+    python docs/make_screenshots.py [--chromium /usr/bin/chromium] [--whole FOLDER] [00 05 ...]
 
 Needs the extras ``notebooks`` and ``test``. Every notebook is run from top to bottom; the picture shows its first view.
+``--whole`` also writes each notebook from top to bottom, in JupyterLab's light and dark theme, for looking at.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ IDLE = """() => {
   return context?.session?.kernel?.status === 'idle';
 }"""
 FAILED = ".jp-OutputArea-output[data-mime-type='application/vnd.jupyter.error']"
+HEIGHT = "() => document.querySelector('.jp-WindowedPanel-outer').scrollHeight"
+SIZE = {"width": 1280, "height": 1150}
 VIEW = ".jp-OutputArea-output .jupyter-widgets img, .jp-OutputArea-output img"
 
 
@@ -76,10 +79,22 @@ def photograph(page: Page, path: Path) -> None:
     Image.open(io.BytesIO(page.screenshot())).convert("RGB").save(path, quality=82, optimize=True)
 
 
+def photograph_whole(page: Page, folder: Path, number: str) -> None:
+    """The whole notebook as ``NUMBER_light.png`` and ``NUMBER_dark.png``: in a window as high as its cells."""
+    folder.mkdir(parents=True, exist_ok=True)
+    height = page.evaluate(HEIGHT)
+    page.set_viewport_size({**SIZE, "height": min(int(height) + 200, 14_000)})
+    for name in ("Dark", "Light"):
+        page.evaluate(f"() => window.jupyterapp.commands.execute('apputils:change-theme', {{theme: 'JupyterLab {name}'}})")
+        page.wait_for_timeout(2500)
+        page.screenshot(path=folder / f"{number}_{name.lower()}.png")
+
+
 def main() -> None:
     """Start JupyterLab on a fresh copy, and photograph the chosen notebooks."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--chromium", default="/usr/bin/chromium")
+    parser.add_argument("--whole", type=Path, metavar="FOLDER", help="also whole notebooks, light and dark, in here")
     parser.add_argument("numbers", nargs="*", help="e.g. 00 05 live; default: all")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
@@ -96,10 +111,12 @@ def main() -> None:
                 number = path.name.partition("_")[0]
                 if args.numbers and number not in args.numbers:
                     continue
-                page = browser.new_page(viewport={"width": 1280, "height": 1150})
+                page = browser.new_page(viewport=SIZE)
                 run_all(page, f"http://127.0.0.1:{port}/lab/tree/{path.name}?reset&token={token}")
                 failed = page.locator(FAILED).count()
                 photograph(page, PICTURES / f"notebook_{number}.jpg")
+                if args.whole:
+                    photograph_whole(page, args.whole, number)
                 print(path.name, "a cell raised" if failed else "fine", flush=True)
                 page.evaluate("() => window.jupyterapp.shell.currentWidget.sessionContext.shutdown()")
                 page.close()

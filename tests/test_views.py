@@ -180,6 +180,16 @@ def test_camera_view_marks_features_and_survives_missing_ones(session):
         assert decoded(view._image).shape == (120, 100, 3)
 
 
+@pytest.mark.parametrize("size", [(300, 200), (420, 260), (800, 300)])
+def test_the_legend_of_a_live_chart_lies_within_the_picture_and_beside_the_axes(size):
+    names = ("mouthSmileRight", "browInnerUp", "mouthLowerDown", "eyeBlinkRight")
+    chart = views.LiveChart(names, (0, 10), (0, 1), "frame", "mm", size=size)
+    (legend,) = chart._axis.figure.legends
+    box, axes = legend.get_window_extent(), chart._axis.get_window_extent()
+    assert 0 <= box.x0 and box.x1 <= size[0] and 0 <= box.y0 and box.y1 <= axes.y0
+    assert axes.height > 0.3 * size[1]
+
+
 def test_live_chart_draws_lines_in_place_and_leaves_gaps():
     chart = views.LiveChart(("a", "b"), (0, 10), (0, 1), "frame", "mm", size=(300, 200))
     empty = decoded(chart._image)
@@ -361,6 +371,7 @@ def test_errors_are_shown_and_tasks_report_theirs(monkeypatch):
     with shown_errors(shown.append):
         raise ValueError("<oops>")
     assert "ValueError: &lt;oops&gt;" in shown[-1]
+    assert "background:#" in shown[-1] and "color:#" in shown[-1], "legible in any theme: not on the page's own ground"
 
     async def fails() -> None:
         raise ValueError("in the background")

@@ -7,6 +7,7 @@ no mistake is described by its properties (shape, bounds, orthonormality) and by
 from __future__ import annotations
 
 import copy
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ import numpy as np
 
 from ..parameters import Parameters
 from .trial import Trial, run_trial
+
+#: Letters in a line of a message: JupyterLab breaks longer lines within words.
+LINE = 100
 
 #: Keyword arguments of one call of the learner's function.
 Case = dict[str, Any]
@@ -50,7 +54,9 @@ class Grade:
     def __str__(self) -> str:
         if self.passed:
             return f"{self.exercise}: right on all {self.cases} random cases."
-        return "\n".join([f"{self.exercise}: not yet.", *(f"  - {finding}" for finding in self.findings)])
+        findings = (textwrap.fill(finding, LINE, initial_indent="  - ", subsequent_indent="    ",
+                                  break_long_words=False) for finding in self.findings)  # fmt: skip
+        return "\n".join([f"{self.exercise}: not yet.", *findings])
 
     __repr__ = __str__
 

@@ -12,12 +12,15 @@ import ipywidgets as widgets
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from .pictures import encode, image_widget
 
 #: Okabe & Ito's colours, told apart with any colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
+#: Widths in a legend, pixels: a line with the space around it, a letter.
+LEGEND_HANDLE, LEGEND_LETTER = 50, 7
 
 _BAR = np.array([0x00, 0x72, 0xB2], np.uint8)  # the first of them
 
@@ -45,17 +48,15 @@ class LiveChart:
         axis.xaxis.label.set_size(9)
         axis.yaxis.label.set_size(9)
         axis.grid(alpha=0.3)
-        self._lines, self._legend = {}, None
+        self._lines = {}
         for name, colour in zip(names, COLOURS, strict=False):
             (line,) = axis.plot([], [], color=colour, lw=1.6, label=name, animated=True)
             self._lines[name] = line
         self._cursor = axis.axvline(np.nan, color="0.4", lw=1, animated=True)
-        if len(self._lines) > 1:
-            handles = [
-                axis.plot([], [], color=line.get_color(), lw=1.6, label=name)[0] for name, line in self._lines.items()
-            ]
-            self._legend = axis.legend(handles=handles, fontsize=8, loc="upper right", framealpha=0.85)
-            self._legend.set_animated(True)
+        if len(self._lines) > 1:  # below the axes, where it hides no line
+            handles = [Line2D([], [], color=line.get_color(), lw=1.6, label=name) for name, line in self._lines.items()]
+            room = max(1, int(size[0] / (LEGEND_HANDLE + LEGEND_LETTER * max(map(len, self._lines)))))
+            figure.legend(handles=handles, fontsize=8, loc="outside lower center", ncols=min(room, len(handles)))
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
         self._image = image_widget(*size, format="png", name="adaptiveface-chart")
@@ -69,9 +70,8 @@ class LiveChart:
             self._lines[name].set_data(x, y)
         self._cursor.set_xdata([cursor, cursor])
         self._canvas.restore_region(self._background)
-        for artist in (self._cursor, *self._lines.values(), self._legend):
-            if artist is not None:
-                self._axis.draw_artist(artist)
+        for artist in (self._cursor, *self._lines.values()):
+            self._axis.draw_artist(artist)
         self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
 
 

@@ -95,9 +95,11 @@ class FaceView:
         values: np.ndarray | None = None,
         normals: np.ndarray | None = None,
         count: int = 6000,
+        size: int = 3,
     ) -> None:
         """A cloud of points (n, 3) in a pane, coloured by values (n,) in the view's range, lit by normals (n, 3).
 
+        ``size``: of a point, pixels; the first call's counts.
         Drawn with a constant ``count``: a cloud that changes its size would have to be rebuilt for every frame.
         """
         if len(points) == 0:
@@ -118,7 +120,7 @@ class FaceView:
         cloud["lit"] = colours
         self.plotter.subplot(*divmod(pane, self.plotter.shape[1]))
         self.plotter.add_mesh(
-            cloud, scalars="lit", rgb=True, style="points", point_size=3, lighting=False, show_scalar_bar=False,
+            cloud, scalars="lit", rgb=True, style="points", point_size=size, lighting=False, show_scalar_bar=False,
             reset_camera=False,
         )  # fmt: skip
         self._clouds[pane] = cloud

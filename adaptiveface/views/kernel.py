@@ -22,6 +22,8 @@ from ..errors import AdaptiveFaceError
 
 #: Environment variable: errors of callbacks are raised as well as shown, so that test runs fail.
 STRICT = "ADAPTIVEFACE_STRICT"
+#: Style of an error message: a card with its own ground, legible on a light and on a dark page.
+ALERT = "background:#fdecea;color:#8c1d18;padding:4px 8px"
 
 _tasks: weakref.WeakSet[BackgroundTask] = weakref.WeakSet()
 
@@ -70,9 +72,7 @@ def shown_errors(show: Callable[[str], None]):
         yield
     except Exception as error:
         text = str(error) if isinstance(error, AdaptiveFaceError) else "".join(traceback.format_exception_only(error))
-        show(
-            f"<div role='alert' style='color:#b3261e;padding:4px'><b>Not applied:</b> {html.escape(text.strip())}</div>"
-        )
+        show(f"<div role='alert' style='{ALERT}'><b>Not applied:</b> {html.escape(text.strip())}</div>")
         if strict():
             raise
     else:

@@ -11,6 +11,7 @@ from ..live.guided import STEPS, Guidance
 from ..live.statistics import LiveStatistics
 from ..retargeting import BUILT_IN
 from ..sensors.catalogue import list_sensors
+from .kernel import ALERT
 from .parameter_panel import ParameterPanel
 
 #: The tracker's stages act on the next frame, the neutral's on the next scan.
@@ -23,7 +24,7 @@ def alert(text: str) -> str:
     """An error as HTML; "" for none."""
     if not text:
         return ""
-    return f"<div role='alert' style='color:#b3261e;padding:4px'><b>{html.escape(text)}</b></div>"
+    return f"<div role='alert' style='{ALERT}'><b>{html.escape(text)}</b></div>"
 
 
 def coverage_bars(coverage: dict[str, float], step: str) -> str:
@@ -43,7 +44,7 @@ def coverage_bars(coverage: dict[str, float], step: str) -> str:
 def instruction(guidance: Guidance) -> str:
     """What to do now, in large letters; red where something is wrong."""
     text = "; ".join(guidance.warnings) if guidance.warnings else guidance.text
-    colour = "color:#b3261e;" if guidance.warnings else ""
+    colour = ALERT if guidance.warnings else ""
     return f"<b style='font-size:150%;{colour}'>{html.escape(text)}</b>"
 
 

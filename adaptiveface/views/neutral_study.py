@@ -87,7 +87,7 @@ class ScanStudy(_Study):
     def draw(self) -> None:
         parameters = FusionParameters(voxel=self.voxel.value, passes=1, min_views=0.0)
         self.scan = fuse_frames(self.neutral[: self.frames.value], self.model, parameters)
-        self.view.show_points(0, self.scan.points, self.scan.weights, self.scan.normals, count=20_000)
+        self.view.show_points(0, self.scan.points, self.scan.weights, self.scan.normals, 20_000, size=5)
         self.note = (f"{len(self.scan.frames)} frames registered, {len(self.scan.points)} points, median distance of a "
                      f"frame to the merged surface {np.median(self.scan.residuals):.2f} mm")  # fmt: skip
 

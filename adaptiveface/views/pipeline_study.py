@@ -43,7 +43,7 @@ class AblationView:
         columns = min(3, len(self.variants))
         shape = (-(-len(self.variants) // columns), columns)
         names = (variant.name for variant in self.variants)
-        titles = [
+        self._titles = titles = [
             name.replace("without the adaptive space and the final deformation", "v2 as the output") for name in names
         ]
         self.view = FaceView.of(
@@ -57,10 +57,11 @@ class AblationView:
     def show(self, index: int) -> None:
         """Draw frame ``index`` by every variant."""
         rows = []
-        for pane, (variant, run) in enumerate(zip(self.variants, self._runs, strict=True)):
+        for pane, (variant, run, title) in enumerate(zip(self.variants, self._runs, self._titles, strict=True)):
             heat = self.measures.error(run.results[index], self.frames[index], variant.stage)
             self.view.show(pane, getattr(run.results[index], variant.stage), heat)
-            rows.append(f"<tr><td>{variant.name}</td><td>{np.nanmean(heat):.3f} mm</td></tr>")
+            name = title if title == variant.name else f"{title} ({variant.name})"
+            rows.append(f"<tr><td style='padding-right:1em'>{name}</td><td>{np.nanmean(heat):.3f} mm</td></tr>")
         self.view.refresh()
         self.note.value = f"<table>{''.join(rows)}</table>"
 

@@ -28,7 +28,7 @@ from .turntable import Turntable
 SLIDERS, INITIAL, RESOLVED, CORRECTIVES = "sliders", "initial", "re-solved", "re-solved + correctives"
 #: One character by all three instead of all characters by one of them (the paper's figure 8).
 COMPARED = "compare on one"
-_STYLE, _WIDE = {"description_width": "110px"}, widgets.Layout(width="270px")
+_STYLE, _WIDE = {"description_width": "130px"}, widgets.Layout(width="290px")
 
 
 class RetargetingStudy:
