@@ -26,7 +26,7 @@ class CorrectiveView:
         self.actor, self.reach = session.actor, reach
         titles = [f"corrective {k + 1}" for k in range(count)]
         self.view = FaceView.of(
-            session.actor, titles, limits=(0, reach), label=f"displacement (the largest set to {reach:g} mm), mm", pane=(200, 230)
+            session.actor, titles, limits=(0, reach), label=f"displacement (largest: {reach:g} mm), mm", pane=(200, 230)
         )
         self.widget, self._last, self._wanted = self.view.widget, None, None
         self._task = BackgroundTask()
