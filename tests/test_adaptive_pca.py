@@ -126,6 +126,15 @@ def test_full_buffer_policy_updates_once_the_buffer_is_full(actor):
     assert model.updates == 6
 
 
+def test_more_correctives_than_the_buffer_has_samples_still_learn(actor):
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=5))
+    samples = samples_outside_anchors(model, 25)
+    feed(model, samples)
+    assert model.updates == 25 and model.correctives.shape[1] == 5
+    rest = samples[-5:] - samples[-5:] @ model.anchors @ model.anchors.T
+    assert ((rest @ model.correctives) ** 2).sum() > 0.99 * (rest**2).sum(), "the newest samples, not the first"
+
+
 def test_a_buffer_of_duplicates_stays_well_conditioned(actor):
     model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(S=30))
     sample = samples_outside_anchors(model, 1)[0]

@@ -253,6 +253,31 @@ def test_preview_answers_for_every_stage(session, changes):
     assert result.tracked and not np.array_equal(result.v4, replay.results[8].v4)
 
 
+FOLLOWED = [
+    ({"laplacian__w2": 1e5}, lambda r: np.linalg.norm(r.v2 - r.v1, axis=1).mean() < 0.02),
+    ({"adaptive_pca__K": 0}, lambda r: abs(r.anchor_distance - r.adaptive_distance) < 1e-6),
+    ({"blendshapes__A": 5}, lambda r: len(r.coefficients_initial) == 5),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("changes, has_it", FOLLOWED)
+def test_frames_on_show_follow_a_change_before_the_background_run_does(session, changes, has_it):
+    """A slider that moves during playback: the next frames are drawn with its value, not with the old one."""
+    parameters = Parameters().set(**changes)
+
+    async def scenario() -> None:
+        replay = views.Replay(session.frames, session.actor)
+        old = replay.run()[:]
+        replay.change(parameters, 6)
+        shown = [replay.current(index) for index in (7, 11)]
+        assert replay.busy and replay.current(7) is shown[0], "one preview a frame"
+        await replay.finished()
+        assert all(map(has_it, shown)) and not any(has_it(old[index]) for index in (7, 11))
+        assert replay.current(7) is replay.results[7] is not shown[0] and has_it(replay.results[7])
+
+    asyncio.run(scenario())
+
+
 def test_change_recomputes_everything_in_the_background(session):
     parameters = Parameters().set(laplacian__w2=40.0)
 
@@ -431,6 +456,18 @@ def test_hole_removes_depth_at_the_mouth_corner(session):
     gone = (whole.depth > 0) & (frame.depth == 0)
     assert frame.depth[v, u] == 0 and 500 < gone.sum() < 3000
     assert FaceTracker(session.actor).track(frame).tracked
+    painted = dataclasses.replace(whole, colour=np.full((*whole.depth.shape, 3), 200, np.uint8))
+    (shown,) = laplacian_study.with_hole(dataclasses.replace(session, frames=[painted]), 20.0).frames
+    assert (shown.colour[gone] == 100).all() and (shown.colour == 200).mean() > 0.9
+
+
+def test_error_in_the_hole_counts_what_lost_its_depth(session):
+    measures, run = views.Measures(session), views.Replay(session.frames, session.actor).run()
+    assert np.isnan(laplacian_study.error_in_hole(session, session, measures, run))
+    everywhere = np.nanmean([measures.mean_error(r, f, "v2") for r, f in zip(run, session.frames, strict=True)])
+    inside = laplacian_study.error_in_hole(session, laplacian_study.with_hole(session, 1000.0), measures, run)
+    assert inside == pytest.approx(everywhere, rel=0.1)
+    assert laplacian_study.error_in_hole(session, laplacian_study.with_hole(session, 20.0), measures, run) != inside
 
 
 def test_incremental_correctives_lie_near_the_batch_pca(session):

@@ -182,9 +182,12 @@ class AdaptiveModel:
         self._newest = row
 
     def _start_up(self) -> bool:
-        """Grow the basis by the newest sample's own direction until K shapes exist; True when EM may run."""
+        """Grow the basis by the newest sample's own direction until K shapes exist; True when EM may run.
+
+        S samples have no more than S directions: with more shapes than that EM could never run.
+        """
         k = self.correctives.shape[1]
-        if k >= self.parameters.K:
+        if k >= min(self.parameters.K, self.parameters.S):
             return True
         sample = self._samples[self._newest].astype(float)
         rest = sample - self.correctives @ (self.correctives.T @ sample)

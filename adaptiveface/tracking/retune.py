@@ -43,6 +43,18 @@ def retuned(tracker: FaceTracker, parameters: Parameters, relearn: bool = True) 
     return out
 
 
+def put_where(tracker: FaceTracker, other: FaceTracker) -> FaceTracker:
+    """A tracker with the stages and the adaptive model of ``tracker``, and the pose and the expression of ``other``.
+
+    Both need the same number of expressions. Costs nothing, unlike :func:`retuned`, which may factorise matrices.
+    """
+    out = snapshot(tracker)
+    out.pose, out._x, out._v1, out._deformation = other.pose, other._x, other._v1, other._deformation
+    if tracker.parameters.kalman == other.parameters.kalman:
+        out.kalman = copy.copy(other.kalman)
+    return out
+
+
 def _sizes(parameters: Parameters) -> tuple[int, int, int]:
     return parameters.blendshapes.A, parameters.adaptive_pca.K, parameters.adaptive_pca.S
 

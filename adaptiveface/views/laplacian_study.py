@@ -18,6 +18,7 @@ from ..parameters import Parameters
 from ..tracking.laplacian import LaplacianDeformation
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
+from .measures import Measures
 from .session import Session
 
 LAPLACIANS = ("cotangent", "cotangent, non-negative", "uniform")
@@ -127,7 +128,8 @@ def with_hole(session: Session, radius: float = 25.0, feature: int = 54) -> Sess
     """The same performance with a disc of the depth map missing, as a hand or a reflection would leave it.
 
     radius: mm, at the distance of the face; feature: iBUG number of the disc's centre (54: the subject's left mouth
-    corner). The 2D features under the disc stay: colour cameras see where depth cameras are blind.
+    corner). The 2D features under the disc stay: colour cameras see where depth cameras are blind. In the colour image,
+    which the tracker does not read, the disc is darkened to show where it is.
     """
     which = int(np.flatnonzero(FEATURE_IDS == feature)[0])
     return dataclasses.replace(session, frames=[_pierced(frame, which, radius) for frame in session.frames])
@@ -139,4 +141,26 @@ def _pierced(frame: RgbdFrame, which: int, radius: float) -> RgbdFrame:
     measured = frame.depth[frame.depth > 0]
     pixels = radius * frame.camera.fx / float(np.percentile(measured, 10))
     centre = tuple(int(round(c)) for c in frame.features.pixels[which])
-    return dataclasses.replace(frame, depth=cv2.circle(frame.depth.copy(), centre, int(round(pixels)), 0.0, -1))
+    disc = cv2.circle(np.zeros(frame.depth.shape, np.uint8), centre, int(round(pixels)), 1, -1) > 0
+    colour = frame.colour
+    if colour is not None and colour.shape[:2] == disc.shape:
+        colour = np.where(disc[..., None], colour // 2, colour)
+    return dataclasses.replace(frame, depth=np.where(disc, np.float32(0), frame.depth), colour=colour)
+
+
+def error_in_hole(session: Session, pierced: Session, measures: Measures, run, stage: str = "v2") -> float:
+    """Mean error, mm, of a run's ``stage`` where ``session`` has depth and ``pierced`` has none; NaN where nowhere.
+
+    ``run``: tracked results of every frame, of either session.
+    """
+    errors = []
+    for result, full, hole in zip(run, session.frames, pierced.frames, strict=True):
+        if result is None or not result.tracked:
+            continue
+        height, width = full.depth.shape
+        pixels = np.round(full.camera.project(result.in_camera(getattr(result, stage)))).astype(int)
+        column, row = np.clip(pixels, 0, [width - 1, height - 1]).T
+        inside = (full.depth[row, column] > 0) & (hole.depth[row, column] == 0)
+        errors.append(measures.error(result, full, stage)[inside])
+    errors = np.concatenate(errors) if errors else np.zeros(0)
+    return float(np.nanmean(errors)) if np.isfinite(errors).any() else float("nan")

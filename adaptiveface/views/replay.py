@@ -11,7 +11,7 @@ from ..actor import Actor
 from ..frame import RgbdFrame
 from ..parameters import Parameters
 from ..tracking.adaptive_pca import AdaptiveModel
-from ..tracking.retune import retuned, snapshot
+from ..tracking.retune import put_where, retuned, snapshot
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import SampleState, TrackedFrame
 from .kernel import BackgroundTask
@@ -40,6 +40,8 @@ class Replay:
         self.results: list[TrackedFrame | None] = [None] * len(self.frames)
         self.tracker = make_tracker(actor, self.parameters)
         self._before: list[FaceTracker | None] = [None] * len(self.frames)
+        self._made_with: list[Parameters | None] = [None] * len(self.frames)  # of every result
+        self._previewer: tuple[Parameters, FaceTracker] | None = None  # what the last preview tracked with
         self._task = BackgroundTask()
         #: Frames tracked under the current parameters.
         self.done = 0
@@ -74,11 +76,34 @@ class Replay:
         Nothing changes when the preview fails (its error is raised).
         """
         result = self.preview(parameters, index)
-        self.results[index] = result
         self._task.stop()
         self.parameters = parameters
+        self._keep(index, result)
         self.start()
         return result
+
+    def current(self, index: int) -> TrackedFrame | None:
+        """Frame ``index`` with the current parameters: a preview while the background run has not come to it yet.
+
+        None where it was never tracked.
+        """
+        stale = self.results[index] is not None and self._made_with[index] is not self.parameters
+        if self.busy and stale and self._before[index] is not None:
+            self._keep(index, self._quick_preview(index))
+        return self.results[index]
+
+    def _quick_preview(self, index: int) -> TrackedFrame:
+        """:meth:`preview` with the stages of the last one, whose matrices cost more than a frame."""
+        before, (known, tracker) = self._before[index], self._previewer or (None, None)
+        if known != self.parameters or len(tracker._x) != len(before._x):
+            return self.preview(self.parameters, index)
+        tracker = put_where(tracker, before)
+        if before.parameters.adaptive_pca == self.parameters.adaptive_pca:
+            tracker.model = before.model
+        return tracker.track(self.frames[index])
+
+    def _keep(self, index: int, result: TrackedFrame) -> None:
+        self.results[index], self._made_with[index] = result, self.parameters
 
     def preview(self, parameters: Parameters, index: int) -> TrackedFrame:
         """Frame ``index`` with other parameters, from where the previous frame left the head.
@@ -91,8 +116,9 @@ class Replay:
             return self.make_tracker(self.actor, parameters).track(self.frames[index])
         # The copy shares the sample buffer, which the background run fills: for one frame, and without learning.
         tracker = retuned(start, parameters.set(adaptive_pca__learn=False), relearn=False)
-        if parameters.adaptive_pca != self.parameters.adaptive_pca:
+        if parameters.adaptive_pca != start.parameters.adaptive_pca:
             tracker.model = self._relearned(tracker, parameters, index)
+        self._previewer = parameters, snapshot(tracker)
         return tracker.track(self.frames[index])
 
     def _relearned(self, tracker: FaceTracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
@@ -114,7 +140,7 @@ class Replay:
     def _advance(self) -> None:
         index = self.done
         self._before[index] = snapshot(self.tracker)
-        self.results[index] = self.tracker.track(self.frames[index])
+        self._keep(index, self.tracker.track(self.frames[index]))
         self.done += 1
         self.on_result(index)
 

@@ -109,7 +109,7 @@ class Workbench:
         if self._live:
             self.replay.track_up_to(index)
             self._live = self.replay.done < len(self.session.frames)
-        result, frame = self.replay.results[index], self.session.frames[index]
+        result, frame = self.replay.current(index), self.session.frames[index]
         if result is None:
             return
         self.message.value = "" if result.tracked else f"frame {index}: {result.reason}"
