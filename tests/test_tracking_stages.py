@@ -319,3 +319,13 @@ def test_prefactored_system_equals_a_fresh_solve(actor):
     right = np.random.default_rng(2).normal(size=(int(actor.frontal.sum()), 3))
     matrix = (system.smoothing + 0.1 * sp.identity(len(right))).tocsc()
     np.testing.assert_allclose(system.solve(right), spsolve(matrix, right), atol=1e-9)
+
+
+def test_other_weights_on_the_same_surface_equal_a_new_system(actor):
+    changed = LaplacianDeformation(*rig(actor), w1=0.1, w2=5.0).reweighted(0.3, 0.7)
+    fresh = LaplacianDeformation(*rig(actor), w1=0.3, w2=0.7)
+    right = np.random.default_rng(3).normal(size=(int(actor.frontal.sum()), 3))
+    np.testing.assert_array_equal(changed.system.solve(right), fresh.system.solve(right))
+    np.testing.assert_array_equal(changed.system.precondition(right), fresh.system.precondition(right))
+    np.testing.assert_array_equal(changed._compliance, fresh._compliance)
+    assert changed.w1 == 0.3

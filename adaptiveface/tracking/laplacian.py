@@ -14,6 +14,7 @@ without depth simply has no depth row, and follows its neighbours.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numba
@@ -44,14 +45,28 @@ class PrefactoredSystem:
         laplacian=cotangent_laplacian,
     ) -> None:
         rows = laplacian(vertices, triangles)[:, np.flatnonzero(frontal)]
-        self.smoothing = (w2 * (rows.T @ rows)).tocsr()
-        matrix = (self.smoothing + w1 * sp.identity(rows.shape[1])).tocsc()
+        self._bending = (rows.T @ rows).tocsr()
+        self._factorise(w1, w2)
+
+    def reweighted(self, w1: float, w2: float) -> PrefactoredSystem:
+        """The same surface with other energy weights: only the factorisation is made anew."""
+        out = copy.copy(self)
+        out._factorise(w1, w2)
+        return out
+
+    def _factorise(self, w1: float, w2: float) -> None:
+        self.smoothing = w2 * self._bending
+        matrix = (self.smoothing + w1 * sp.identity(self._bending.shape[0])).tocsc()
         # The matrix is symmetric positive definite: diagonal pivots and a symmetric ordering keep the factor sparse.
         factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        lower = sp.tril(factor.L, -1, format="csc")
+        lower = factor.L
         lower.sort_indices()
-        self._pattern, self._values = (lower.indptr.astype(np.int32), lower.indices.astype(np.int32)), lower.data
-        self._single_values = lower.data.astype(np.float32)
+        below = np.ones(lower.nnz, bool)
+        below[lower.indptr[:-1]] = False  # each column begins with its unit diagonal, which is not stored
+        starts = lower.indptr - np.arange(len(lower.indptr))
+        self._pattern = starts.astype(np.int32), lower.indices[below].astype(np.int32)
+        self._values = lower.data[below]
+        self._single_values = self._values.astype(np.float32)
         self._inverse_diagonal, self._order = 1.0 / factor.U.diagonal(), factor.perm_r.astype(np.int32)
 
     def solve(self, right_hand_side: np.ndarray) -> np.ndarray:
@@ -153,7 +168,17 @@ class LaplacianDeformation:
         # A corner outside the frontal region does not move: its share of the feature is dropped.
         self.corners = (np.cumsum(frontal) - 1)[feature_triangles]
         self.shares = np.where(frontal[feature_triangles], feature_weights, 0.0)
-        unit_forces = np.zeros((int(frontal.sum()), len(self.corners)))
+        self._respond()
+
+    def reweighted(self, w1: float, w2: float) -> LaplacianDeformation:
+        """The same surface and features with other energy weights; costs less than a new one."""
+        out = copy.copy(self)
+        out.w1, out.system = w1, self.system.reweighted(w1, w2)
+        out._respond()
+        return out
+
+    def _respond(self) -> None:
+        unit_forces = np.zeros((self.system.smoothing.shape[0], len(self.corners)))
         np.add.at(unit_forces, (self.corners, np.arange(len(self.corners))[:, None]), self.shares)
         #: Response of every vertex to a unit force at a feature, A0^-1 E^T (n, 40), and its value at the features.
         self._response = self.system.solve(unit_forces)

@@ -8,7 +8,6 @@ from ..parameters import Parameters
 from .adaptive_pca import AdaptiveModel
 from .expression import BlendshapeFit
 from .kalman import CoefficientFilter
-from .laplacian import LaplacianDeformation
 from .tracker import FaceTracker
 
 
@@ -61,11 +60,10 @@ def _sizes(parameters: Parameters) -> tuple[int, int, int]:
 
 def _retune_stages(out: FaceTracker, old: Parameters, new: Parameters) -> None:
     actor = out.actor
-    rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
     if (old.laplacian.w1, old.laplacian.w2) != (new.laplacian.w1, new.laplacian.w2):
-        out.deformation = LaplacianDeformation(*rigging, new.laplacian.w1, new.laplacian.w2)
+        out.deformation = out.deformation.reweighted(new.laplacian.w1, new.laplacian.w2)
     if old.laplacian.final_w2 != new.laplacian.final_w2:
-        out.final_deformation = LaplacianDeformation(*rigging, 0.0, new.laplacian.final_w2)
+        out.final_deformation = out.final_deformation.reweighted(0.0, new.laplacian.final_w2)
     if old.blendshapes != new.blendshapes:
         out.fit_with(BlendshapeFit(actor, new.blendshapes))
     elif old.rigid != new.rigid:
