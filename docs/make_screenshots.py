@@ -30,6 +30,10 @@ IDLE = """() => {
 }"""
 FAILED = ".jp-OutputArea-output[data-mime-type='application/vnd.jupyter.error']"
 HEIGHT = "() => document.querySelector('.jp-WindowedPanel-outer').scrollHeight"
+UPPER_PART = """view => {
+  const outer = document.querySelector('.jp-WindowedPanel-outer');
+  outer.scrollBy(0, view.getBoundingClientRect().top - outer.getBoundingClientRect().top - 250);
+}"""
 SIZE = {"width": 1280, "height": 1150}
 VIEW = ".jp-OutputArea-output .jupyter-widgets img, .jp-OutputArea-output img"
 
@@ -75,6 +79,8 @@ def photograph(page: Page, path: Path) -> None:
     views = page.locator(VIEW)
     if views.count():
         views.first.scroll_into_view_if_needed()
+        page.wait_for_timeout(500)
+        views.first.evaluate(UPPER_PART)  # room below it for the panel and the charts
         page.wait_for_timeout(1500)
     Image.open(io.BytesIO(page.screenshot())).convert("RGB").save(path, quality=82, optimize=True)
 

@@ -76,6 +76,12 @@ def test_docstrings_become_valid_markup(generated):
     assert lines[-4:] == ["* one", "  more", "text", "hangs"]
 
 
+def test_names_with_underscores_in_formulas_show_no_backslash(generated):
+    pytest.importorskip("latex2mathml")
+    shown = re.sub(r"<[^>]+>", "", importlib.import_module("mathml").to_mathml(r"\textit{valid\_min} < \|s\|^2"))
+    assert shown.replace("&#x0005F;", "_").startswith("valid_min") and "\\" not in shown
+
+
 def test_every_link_between_pages_and_every_picture_exists():
     for page in DOCS.glob("*.md"):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8")):
