@@ -551,3 +551,24 @@ def test_session_from_a_recording(tmp_path):
     assert len(session.neutral) == 3 and len(session.frames) == 4 and session.truth is None
     with pytest.raises(AdaptiveFaceError, match="more than the 8 neutral ones"):
         views.load_session(str(tmp_path / "take"), neutral_frames=8)
+
+
+def test_a_drag_that_arrives_while_the_last_one_is_followed_is_not_lost(session):
+    """Jupyter hands over the browser's wishes on a thread of its own."""
+
+    async def scenario():
+        view = views.FaceView.of(session.actor)
+
+        def drag_on(change):
+            if change.new == 10:
+                drag = threading.Thread(target=lambda: setattr(view._image, "camera", [-32.0, 0.0, 1.0]))
+                drag.start()
+                drag.join()
+
+        view.turn.observe(drag_on, "value")
+        view.look(10.0)
+        await asyncio.sleep(0.2)
+        assert view.turn.value == -32 and view._image.camera == [-32.0, 0.0, 1.0]
+        view.close()
+
+    asyncio.run(scenario())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 
 import ipywidgets as widgets
@@ -65,7 +66,7 @@ class FaceView:
             self.plotter.link_views()
         self.centre = np.asarray(vertices, float).mean(axis=0) if centre is None else np.asarray(centre, float)
         self._image = Turntable(width=size[0], height=size[1], name="adaptiveface-face")
-        self._moving = self._closed = False
+        self._closed, self._follower = False, 0
         self._make_widget(label)
         self.look()
 
@@ -176,8 +177,8 @@ class FaceView:
         )  # fmt: skip
         move = on_main_thread(lambda *camera: self.look(*camera))
         for slider in (self.turn, self.tilt, self.zoom):
-            slider.observe(lambda change: self._moving or move(*self._sliders()), "value")
-        self._image.observe(lambda change: self._moving or move(*change.new), "camera")
+            slider.observe(lambda change: self._following or move(*self._sliders()), "value")
+        self._image.observe(lambda change: self._following or move(*change.new), "camera")
         parts = [
             self._image,
             widgets.HBox([self.turn, self.tilt, self.zoom], layout=widgets.Layout(flex_flow="row wrap")),
@@ -189,15 +190,20 @@ class FaceView:
     def _sliders(self) -> tuple[float, float, float]:
         return self.turn.value, self.tilt.value, self.zoom.value
 
+    @property
+    def _following(self) -> bool:
+        """Whether a change is :meth:`_follow`'s own. Wishes of the browser arrive on another thread, also meanwhile."""
+        return self._follower == threading.get_ident()
+
     def _follow(self, *camera: float) -> None:
         """Sliders and mouse go on from a camera, wherever it came from."""
-        self._moving = True
+        self._follower = threading.get_ident()
         try:
             for slider, value in zip((self.turn, self.tilt, self.zoom), camera, strict=True):
                 slider.value = min(max(value, slider.min), slider.max)
             self._image.camera = [float(value) for value in camera]
         finally:
-            self._moving = False
+            self._follower = 0
 
 
 def colour_bar(limits, label: str, colourmap: str = COLOURMAP, width: int = 380) -> widgets.Image:
