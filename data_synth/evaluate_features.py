@@ -11,18 +11,16 @@ performers of any figure is more than 25 % worse with detected features.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import json
 import os
 import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before NumPy is loaded: every process takes one core
 
 import numpy as np  # noqa: E402
+from performer_runs import run_parser, run_performers, write_json  # noqa: E402
 
 from adaptiveface.evaluation import REPEAT, ErrorCollector  # noqa: E402
 from adaptiveface.frame import FEATURE_REGIONS, Features2D, RgbdFrame  # noqa: E402
@@ -145,37 +143,13 @@ def _cells(pairs) -> str:
     return "".join(f"{a:>8.3f} /{b:>6.3f} {b / a - 1:>+6.0%}" for a, b in pairs)
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(REPORTING_SEEDS))
-    parser.add_argument("--noises", nargs="+", default=["truedepth"], choices=["structured-light", "truedepth", "none"])
-    parser.add_argument("--frames", type=int, default=300, help="frames of one performance (default 300)")
-    parser.add_argument("--neutral-frames", type=int, default=40)
-    parser.add_argument("--stride", type=int, default=2, help="score every so many frames (default 2)")
-    parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE", help="change a parameter")
-    parser.add_argument("--cache", type=Path, help="folder that keeps depth and features of every frame")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--json", type=Path, help="write every figure here")
-    return parser.parse_args(arguments)
-
-
 def main(arguments: list[str] | None = None) -> int:
-    args = parse(arguments)
-    changed = dict(entry.partition("=")[::2] for entry in args.set)
-    Parameters().set(**changed)  # a wrong name or value ends here, before any work
-    options = vars(args) | {"set": changed}
-    tasks = [(seed, noise) for seed in args.seeds for noise in args.noises]
-    rows = []
-    with ProcessPoolExecutor(max_workers=max(1, min(args.jobs, len(tasks)))) as pool:
-        pending = {pool.submit(run_performer, seed, noise, options) for seed, noise in tasks}
-        for number, future in enumerate(as_completed(pending), start=1):
-            rows.append(future.result())
-            print(f"{number} of {len(tasks)} performers", file=sys.stderr)
-    rows.sort(key=lambda row: tasks.index((row["seed"], row["noise"])))
+    parser = run_parser(__doc__, REPORTING_SEEDS, ["truedepth"], stride=2, cache="depth and features of every frame")
+    args = parser.parse_args(arguments)
+    rows = run_performers(args, run_performer)
     text, holds = report(rows)
     print(text)
-    if args.json:
-        args.json.write_text(json.dumps(dict(options=vars(args), rows=rows), indent=1, default=str))
+    write_json(args, rows)
     return 0 if holds else 1
 
 

@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import os
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +22,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before NumPy is loaded: every process takes one core
 
 import numpy as np  # noqa: E402
+from performer_runs import run_parser, run_performers, write_json  # noqa: E402
 
 import adaptiveface  # noqa: E402
 from adaptiveface.evaluation import REPEAT, ErrorCollector, Evaluation  # noqa: E402
@@ -134,7 +133,7 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
     actor = capture_actor([frames.read(i) for i in range(options["neutral_frames"])], parameters=parameters)
     row = dict(seed=seed, noise=noise, capture_s=time.perf_counter() - started)
     runs = {"on": (FaceTracker(actor, parameters), ErrorCollector(sensor, actor))}
-    if options["ablate"]:
+    if not options["no_ablation"]:
         frozen = parameters.set(adaptive_pca__learn=False)
         runs["off"] = (FaceTracker(actor, frozen), ErrorCollector(sensor, actor, ("v4",)))
     times = []
@@ -214,38 +213,17 @@ def _name(row: dict) -> str:
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(REPORTING_SEEDS))
-    parser.add_argument("--noises", nargs="+", default=list(NOISES), choices=[*NOISES, "none"])
-    parser.add_argument("--frames", type=int, default=300, help="frames of one performance (default 300)")
-    parser.add_argument("--neutral-frames", type=int, default=40)
-    parser.add_argument("--stride", type=int, default=1, help="score every so many frames only (quicker)")
-    parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE", help="change a parameter")
+    cache = "the rendered frames (about 130 MB per performer)"
+    parser = run_parser(__doc__, REPORTING_SEEDS, NOISES, stride=1, cache=cache)
     parser.add_argument("--no-ablation", action="store_true", help="leave out the runs with learning off")
     parser.add_argument("--figure-5", action="store_true", help="leave out stages one by one, as the paper's figure 5")
     parser.add_argument("--stages", action="store_true", help="print every stage's table per performer")
-    parser.add_argument("--cache", type=Path, help="folder that keeps the rendered frames (about 130 MB per performer)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--json", type=Path, help="write every figure here")
     return parser.parse_args(arguments)
 
 
 def main(arguments: list[str] | None = None) -> int:
     args = parse(arguments)
-    changed = dict(entry.partition("=")[::2] for entry in args.set)
-    Parameters().set(**changed)  # a wrong name or value ends here, before any work
-    options = dict(
-        neutral_frames=args.neutral_frames, frames=args.frames, stride=args.stride, set=changed, cache=args.cache,
-        ablate=not args.no_ablation, figure_5=args.figure_5,
-    )  # fmt: skip
-    tasks = [(seed, noise) for seed in args.seeds for noise in args.noises]
-    rows = []
-    with ProcessPoolExecutor(max_workers=max(1, min(args.jobs, len(tasks)))) as pool:
-        pending = {pool.submit(run_performer, seed, noise, options): (seed, noise) for seed, noise in tasks}
-        for number, future in enumerate(as_completed(pending), start=1):
-            rows.append(future.result())
-            print(f"{number} of {len(tasks)} performers", file=sys.stderr)
-    rows.sort(key=lambda row: tasks.index((row["seed"], row["noise"])))
+    rows = run_performers(args, run_performer)
     for row in rows:
         wanted = [row[key] for key, asked in (("table", args.stages), ("figure_5", args.figure_5)) if asked]
         for text in wanted:
@@ -253,8 +231,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(table(rows) + "\n")
     text, all_hold = verdict(rows)
     print(text)
-    if args.json:
-        args.json.write_text(json.dumps(dict(options=vars(args), rows=rows), indent=1, default=str))
+    write_json(args, rows)
     return 0 if all_hold else 1
 
 

@@ -1,6 +1,6 @@
 """The measures on cases whose answer is known, and the scoring of constructed runs."""
 
-import importlib.util
+import importlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -283,12 +283,8 @@ def test_ablations_of_a_tracked_smile():
 
 @pytest.fixture(scope="module")
 def performers():
-    path = Path(__file__).parents[1] / "data_synth" / "evaluate_performers.py"
-    spec = importlib.util.spec_from_file_location("evaluate_performers", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclasses look themselves up there
-    spec.loader.exec_module(module)
-    return module
+    sys.path.insert(0, str(Path(__file__).parents[1] / "data_synth"))
+    return importlib.import_module("evaluate_performers")
 
 
 def test_cached_frames_are_those_of_the_sensor(performers, tmp_path):
