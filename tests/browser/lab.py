@@ -21,7 +21,7 @@ CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.whic
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
          "--disable-component-update", "--disable-sync"]  # fmt: skip
 #: Console errors that JupyterLab itself makes without network or with an empty settings folder.
-HARMLESS = ("favicon", "the server responded with a status of 404", "net::ERR_", "Failed to load resource", "pypi.org",
+HARMLESS = ("favicon", "the server responded with a status of 404", "net::ERR_", "Failed to load resource",
             "Content Security Policy", "service worker", "ResizeObserver")  # fmt: skip
 
 _IDLE = "() => window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
@@ -45,6 +45,7 @@ def jupyter_lab(folder: Path, notebooks=(), **environment):
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "ADAPTIVEFACE_STRICT")} | private | environment
     arguments = ["--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}", "--ServerApp.port_retries=0",
                  "--IdentityProvider.token=", "--LabApp.expose_app_in_browser=True", "--LabApp.news_url=",
+                 "--LabApp.extension_manager=readonly",  # asks no package registry
                  f"--ServerApp.root_dir={folder}"]  # fmt: skip
     with open(folder / "lab.log", "w") as log:
         server = subprocess.Popen([sys.executable, "-m", "jupyterlab", *arguments], env=env, stdout=log, stderr=log)
