@@ -1,0 +1,61 @@
+"""The command line: ``adaptiveface demo | capture | track | live | ...``; one function pair per command, by what it is for.
+
+Thin: every command is a few calls of the package. Anything the user can act on ends as one line on stderr and exit
+status 2; Ctrl-C ends with 130 after saving what was done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from .. import __version__
+from ..errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError
+from . import offline, sensors, tools
+
+EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
+#: In the order of the help; each adds itself.
+COMMANDS = (
+    offline.add_demo, offline.add_capture, offline.add_track, sensors.add_record, sensors.add_convert,
+    offline.add_export, sensors.add_stream, sensors.add_live, tools.add_bench, tools.add_lab,
+)  # fmt: skip
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command of ``argv`` (default: the process's arguments) and return the exit status."""
+    args = _parser().parse_args(argv)
+    try:
+        return args.run(args)
+    except AdaptiveFaceError as error:
+        return _fail(str(error))
+    except ImportError as error:
+        return _fail(f"{error} ({SYSTEM_LIBRARIES_HINT})")
+    except (OSError, MemoryError) as error:
+        return _fail(str(error) or "out of memory")
+    except KeyboardInterrupt:
+        print("adaptiveface: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _fail(message: str) -> int:
+    print(f"adaptiveface: error: {' '.join(message.split())}", file=sys.stderr)
+    return EXIT_ERROR
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a bad command line in one line, without the usage text."""
+
+    def error(self, message: str) -> None:
+        self.exit(_fail(f"{message} (see {self.prog} --help)"))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="adaptiveface", description="Facial performance capture with on-the-fly correctives.")
+    parser.add_argument("--version", action="version", version=f"adaptiveface {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for add in COMMANDS:
+        add(commands)
+    return parser
+
+
+__all__ = ["COMMANDS", "EXIT_ERROR", "EXIT_INTERRUPTED", "main"]

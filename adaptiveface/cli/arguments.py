@@ -1,0 +1,57 @@
+"""Arguments that several commands share, and their checks."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from ..errors import AdaptiveFaceError, ParameterError
+
+
+def add_source(command: argparse.ArgumentParser) -> None:
+    """``SOURCE``, numbered frames."""
+    text = "a recording folder, a video (colour only), or synthetic[:SEED[:NOISE]]"
+    command.add_argument("source", metavar="SOURCE", help=text)
+
+
+def add_settings(command: argparse.ArgumentParser) -> None:
+    """``--set stage.name=value``, which :func:`parameters` reads."""
+    command.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="stage.name=value", help="e.g. laplacian.w1=0.2"
+    )
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """The argparse type of a whole number between ``low`` and ``high``."""
+
+    def whole_number(text: str) -> int:
+        """The number, or argparse's error."""
+        if not (text.isascii() and text.isdecimal() and low <= int(text[:12]) <= high and len(text) <= 12):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number between {low} and {high}")
+        return int(text)
+
+    return whole_number
+
+
+def parameters(settings: list[str]):
+    """The :class:`~adaptiveface.parameters.Parameters` that ``--set`` asks for; raises :class:`ParameterError`."""
+    from ..parameters import Parameters
+
+    values = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals or "." not in name:
+            raise ParameterError(f"--set {setting}: stage.name=value is expected, e.g. laplacian.w1=0.2")
+        values[name] = value
+    return Parameters().set(**values)
+
+
+def check_output(path: Path, suffix: str = ".npz") -> None:
+    """Refuse an output path that cannot be written before an hour of work, not after it."""
+    if path.suffix != suffix:
+        raise AdaptiveFaceError(f"{path}: the output's name must end in {suffix}")
+    if path.is_dir():
+        raise AdaptiveFaceError(f"{path}: is a folder, the name of a file is expected")
+    if not path.resolve().parent.is_dir():
+        raise AdaptiveFaceError(f"{path}: the folder {path.resolve().parent} does not exist")

@@ -1,0 +1,145 @@
+"""Commands on numbered frames and on results: ``demo``, ``capture``, ``track``, ``export``."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from ..export.arguments import add_export_arguments
+from ..retargeting import BUILT_IN
+from .arguments import add_settings, add_source, check_output, parameters, whole
+
+
+def add_demo(commands) -> None:
+    """``demo``."""
+    demo = commands.add_parser("demo", help="no hardware, no network: synthetic sensor, whole pipeline, report")
+    demo.add_argument("--out", type=Path, default=Path("adaptiveface-demo"), metavar="DIR", help="default: %(default)s")
+    demo.add_argument("--seed", type=whole(0, 10**9), default=0, help="which performer (default: %(default)s)")
+    demo.add_argument("--noise", default="structured-light", help="structured-light, truedepth or none")
+    demo.add_argument("--frames", type=whole(2, 10_000), default=120, help="frames of one of the two performances")
+    demo.add_argument("--character", metavar="NAME", help=f"also animate {', '.join(BUILT_IN)}, or your own character")
+    add_settings(demo)
+    demo.set_defaults(run=run_demo)
+
+
+def run_demo(args: argparse.Namespace) -> int:
+    """``demo``: capture, track and score a synthetic performer, and write actor, result and report to a folder."""
+    start = time.perf_counter()
+    chosen = parameters(args.set)
+    if args.character:
+        from ..retargeting.character import load_character
+
+        load_character(args.character)  # a wrong name ends here, not after the tracking
+    from ..evaluation import ErrorCollector
+    from ..evaluation.coefficients import measure_coefficients
+    from ..pipeline import capture_from, track_source
+    from ..synthetic.sensor import SyntheticSensor
+
+    sensor = SyntheticSensor(args.seed, args.noise, frames=args.frames)
+    args.out.mkdir(parents=True, exist_ok=True)
+    actor = capture_from(sensor, chosen, sensor.neutral_frames, progress=True)
+    actor.save(args.out / "actor.npz")
+    collector = ErrorCollector(sensor, actor)
+    result = track_source(sensor, actor, chosen, progress=True, on_frame=lambda tracked, _: collector.add(tracked))
+    result.save(args.out / "result.npz")
+    evaluation = collector.finish()
+    print(result.summary())
+    print(evaluation.table())
+    known = measure_coefficients(sensor, actor, chosen, progress=True)
+    _report(result, sensor, actor, args.out, evaluation=evaluation, known=known, still_frames=sensor.neutral_frames,
+            character=args.character or "hag")  # fmt: skip
+    if args.character:
+        from ..export.command import write_demo_character
+
+        for path in write_demo_character(args.character, result, actor, sensor, args.out):
+            print(f"character: {path}")
+    print(f"done in {time.perf_counter() - start:.0f} s")
+    return 0
+
+
+def add_capture(commands) -> None:
+    """``capture``."""
+    capture = commands.add_parser("capture", help="neutral scan -> personal model")
+    add_source(capture)
+    capture.add_argument("--out", type=Path, required=True, metavar="actor.npz")
+    capture.add_argument("--neutral-frames", type=whole(1, 99_999), metavar="N", help="only the leading N with a face")
+    add_settings(capture)
+    capture.set_defaults(run=run_capture)
+
+
+def run_capture(args: argparse.Namespace) -> int:
+    """``capture SOURCE --out actor.npz``."""
+    chosen = parameters(args.set)
+    check_output(args.out)
+    from ..pipeline import capture_from
+    from ..sensors import open_source
+
+    actor = capture_from(open_source(args.source), chosen, args.neutral_frames, progress=True)
+    actor.save(args.out)
+    print(f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, "
+          f"{len(actor.scan_points)} scan points")  # fmt: skip
+    return 0
+
+
+def add_track(commands) -> None:
+    """``track``."""
+    track = commands.add_parser("track", help="track every frame of a recording")
+    add_source(track)
+    track.add_argument("--out", type=Path, required=True, metavar="result.npz")
+    track.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
+    track.add_argument("--neutral-frames", type=whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
+    track.add_argument("--keep-stages", action="store_true", help="also store v1, v2 and v3")
+    track.add_argument("--report", type=Path, metavar="DIR", help="write report.html there")
+    add_settings(track)
+    track.set_defaults(run=run_track)
+
+
+def run_track(args: argparse.Namespace) -> int:
+    """``track SOURCE --out result.npz``."""
+    chosen = parameters(args.set)
+    check_output(args.out)
+    from ..actor import Actor
+    from ..pipeline import TrackingInterrupted, capture_from, track_source
+    from ..sensors import open_source
+
+    actor = Actor.load(args.actor) if args.actor else None
+    source = open_source(args.source)
+    if actor is None:
+        actor = capture_from(source, chosen, args.neutral_frames, progress=True)
+    try:
+        result = track_source(source, actor, chosen, progress=True, keep_stages=args.keep_stages)
+    except TrackingInterrupted as interruption:
+        interruption.result.save(args.out)
+        print(f"{args.out}: {len(interruption.result)} frames until the interruption")
+        raise
+    result.save(args.out)
+    print(result.summary())
+    if args.report:
+        _report(result, source, actor, args.report, still_frames=0 if args.actor else args.neutral_frames)
+    return 0
+
+
+def _report(result, source, actor, folder: Path, **options) -> None:
+    from ..report import write_report
+
+    truth = source if hasattr(source, "ground_truth") else None
+    recorded = getattr(source, "path", Path("/nowhere")) / "ground_truth.npz"
+    if truth is None and recorded.is_file():
+        truth = recorded
+    path = write_report(result, source, actor, folder, truth, correctives=result.correctives, **options)
+    print(f"report: {path}")
+
+
+def add_export(commands) -> None:
+    """``export``."""
+    export = commands.add_parser("export", help="a tracked result as an animated character, curves or a video")
+    add_export_arguments(export)
+    export.set_defaults(run=run_export)
+
+
+def run_export(args: argparse.Namespace) -> int:
+    """``export result.npz``."""
+    from ..export.command import run_export as run
+
+    return run(args)
