@@ -6,72 +6,14 @@ docs. ``Parameters()`` holds our defaults, ``Parameters.paper()`` the paper's li
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from .errors import ParameterError
-
-
-def parameter(
-    default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None
-):
-    """A dataclass field with its documentation, range (``low`` to ``high``, ``log`` slider) and the paper's value."""
-    metadata = dict(
-        doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper
-    )
-    return field(default=default, metadata=metadata)
-
-
-class _Stage:
-    """Checks every field of a stage against its type and range. ``stage``: its name in :class:`Parameters`."""
-
-    stage = ""
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            object.__setattr__(self, entry.name, _checked(self.stage, entry, getattr(self, entry.name)))
-
-
-def _checked(stage: str, entry: dataclasses.Field, value: Any) -> Any:
-    kind, meta, name = type(entry.default), entry.metadata, f"{stage}.{entry.name}"
-    if isinstance(value, str) and kind is not str:
-        value = _parse(name, kind, value)
-    if kind is bool:
-        if not isinstance(value, bool):
-            raise ParameterError(f"{name} = {value!r}: true or false is expected")
-        return value
-    if kind is str:
-        if meta["choices"] and value not in meta["choices"]:
-            raise ParameterError(f"{name} = {value!r}: one of {', '.join(meta['choices'])} is expected")
-        return value
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ParameterError(f"{name} = {value!r}: a finite number is expected")
-    if kind is int and value != int(value):
-        raise ParameterError(f"{name} = {value!r}: a whole number is expected")
-    low, high = meta["low"], meta["high"]
-    if (low is not None and value < low) or (high is not None and value > high):
-        raise ParameterError(f"{name} = {value!r} is outside its range {low} to {high} {meta['unit']}".rstrip())
-    return kind(value)
-
-
-def _parse(name: str, kind: type, text: str) -> Any:
-    if kind is bool:
-        if text.lower() in ("true", "1", "yes", "on"):
-            return True
-        if text.lower() in ("false", "0", "no", "off"):
-            return False
-        raise ParameterError(f"{name} = {text!r}: true or false is expected")
-    try:
-        return float(text)
-    except ValueError:
-        raise ParameterError(f"{name} = {text!r}: a number is expected") from None
+from .stages import Stage, StageSet, parameter
 
 
 @dataclass(frozen=True)
-class DepthParameters(_Stage):
+class DepthParameters(Stage):
     """Section 4.1: crop and noise reduction of the depth map."""
 
     crop: int = parameter(
@@ -97,7 +39,7 @@ class DepthParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class RigidParameters(_Stage):
+class RigidParameters(Stage):
     """Section 4.1: rigid ICP, loss and recovery."""
 
     prune: float = parameter(
@@ -135,7 +77,7 @@ class RigidParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class BlendshapeParameters(_Stage):
+class BlendshapeParameters(Stage):
     """Section 4.2: bounded fit of the initial blendshapes, equations (1) and (2)."""
 
     A: int = parameter(
@@ -179,7 +121,7 @@ class BlendshapeParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class KalmanParameters(_Stage):
+class KalmanParameters(Stage):
     """Section 4.2, last paragraph: Kalman filter on the coefficients (Welch & Bishop 1995)."""
 
     process_noise: float = parameter(0.05, "process noise", section="4.2", low=1e-6, high=10, log=True)
@@ -193,7 +135,7 @@ class KalmanParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class LaplacianParameters(_Stage):
+class LaplacianParameters(Stage):
     """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7)."""
 
     w1: float = parameter(
@@ -237,7 +179,7 @@ class LaplacianParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class AdaptivePcaParameters(_Stage):
+class AdaptivePcaParameters(Stage):
     """Section 5: anchors, correctives, incremental EM-PCA."""
 
     K: int = parameter(12, "number of corrective shapes", section="5", low=0, high=100, paper=7)
@@ -278,7 +220,7 @@ class AdaptivePcaParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class FusionParameters(_Stage):
+class FusionParameters(Stage):
     """Section 3: registration of the neutral depth frames and their volumetric integration."""
 
     voxel: float = parameter(2.0, "grid spacing of the volume", unit="mm", section="3", low=0.5, high=10)
@@ -316,7 +258,7 @@ class FusionParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class FitParameters(_Stage):
+class FitParameters(Stage):
     """Section 3: rigid pose and identity coefficients on the merged scan."""
 
     modes: int = parameter(50, "identity modes used, at most those of the model", section="3", low=0, high=500)
@@ -356,7 +298,7 @@ class FitParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class ShrinkWrapParameters(_Stage):
+class ShrinkWrapParameters(Stage):
     """Section 3: non-rigid ICP for what the identity modes cannot hold (Li et al. 2009)."""
 
     node_spacing: float = parameter(
@@ -400,7 +342,7 @@ class ShrinkWrapParameters(_Stage):
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(StageSet):
     """All stages; frozen, so that a run can be named by its parameters."""
 
     fusion: FusionParameters = field(default_factory=FusionParameters)
@@ -413,46 +355,6 @@ class Parameters:
     laplacian: LaplacianParameters = field(default_factory=LaplacianParameters)
     adaptive_pca: AdaptivePcaParameters = field(default_factory=AdaptivePcaParameters)
 
-    @classmethod
-    def paper(cls) -> Parameters:
-        """The paper's literal values wherever a field names one."""
-        stages = {}
-        for stage in fields(cls):
-            kind = stage.default_factory
-            literal = {f.name: f.metadata["paper"] for f in fields(kind) if f.metadata["paper"] is not None}
-            stages[stage.name] = kind(**literal)
-        return cls(**stages)
-
-    def set(self, **values: Any) -> Parameters:
-        """A copy with fields changed, named ``stage__name`` or passed as ``**{"stage.name": value}``.
-
-        Raises :class:`ParameterError` for an unknown name or a value outside its range.
-        """
-        stages: dict[str, dict[str, Any]] = {}
-        known = {s.name: [f.name for f in fields(getattr(self, s.name))] for s in fields(self)}
-        for key, value in values.items():
-            stage, _, name = key.replace("__", ".").partition(".")
-            if stage not in known:
-                raise ParameterError(f"unknown stage '{stage}' in '{key}'; stages: {', '.join(known)}")
-            if name not in known[stage]:
-                raise ParameterError(f"unknown parameter '{key}'; {stage} has: {', '.join(known[stage])}")
-            stages.setdefault(stage, {})[name] = value
-        return dataclasses.replace(self, **{s: dataclasses.replace(getattr(self, s), **v) for s, v in stages.items()})
-
-    def to_json(self) -> str:
-        """JSON of every parameter, by stage."""
-        return json.dumps(dataclasses.asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> Parameters:
-        """The inverse of :meth:`to_json`; raises :class:`ParameterError`."""
-        try:
-            stages = json.loads(text)
-            flat = {f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()}
-        except (json.JSONDecodeError, AttributeError) as error:
-            raise ParameterError(f"not a JSON object of parameters: {error}") from None
-        return cls().set(**flat)
-
 
 for _field in fields(Parameters):
     _field.default_factory.stage = _field.name
@@ -460,8 +362,4 @@ for _field in fields(Parameters):
 
 def describe() -> list[dict[str, Any]]:
     """One row per parameter for tables and sliders: stage, name, default and the field's documentation."""
-    rows = []
-    for stage in fields(Parameters):
-        for entry in fields(stage.default_factory):
-            rows.append(dict(stage=stage.name, name=entry.name, default=entry.default, **entry.metadata))
-    return rows
+    return Parameters.rows()

@@ -1,0 +1,116 @@
+"""The machinery of the parameters: documented fields that check themselves, in stages, in a set; the data is parameters.py."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import field, fields
+from typing import Any, Self
+
+from .errors import ParameterError
+
+
+def parameter(
+    default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None
+):
+    """A dataclass field with its documentation, range (``low`` to ``high``, ``log`` slider) and the paper's value."""
+    metadata = dict(
+        doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper
+    )
+    return field(default=default, metadata=metadata)
+
+
+class Stage:
+    """Checks every field of a stage against its type and range. ``stage``: its name in the set."""
+
+    stage = ""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            object.__setattr__(self, entry.name, _checked(self.stage, entry, getattr(self, entry.name)))
+
+
+def _checked(stage: str, entry: dataclasses.Field, value: Any) -> Any:
+    kind, meta, name = type(entry.default), entry.metadata, f"{stage}.{entry.name}"
+    if isinstance(value, str) and kind is not str:
+        value = _parse(name, kind, value)
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise ParameterError(f"{name} = {value!r}: true or false is expected")
+        return value
+    if kind is str:
+        if meta["choices"] and value not in meta["choices"]:
+            raise ParameterError(f"{name} = {value!r}: one of {', '.join(meta['choices'])} is expected")
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ParameterError(f"{name} = {value!r}: a finite number is expected")
+    if kind is int and value != int(value):
+        raise ParameterError(f"{name} = {value!r}: a whole number is expected")
+    low, high = meta["low"], meta["high"]
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise ParameterError(f"{name} = {value!r} is outside its range {low} to {high} {meta['unit']}".rstrip())
+    return kind(value)
+
+
+def _parse(name: str, kind: type, text: str) -> Any:
+    if kind is bool:
+        if text.lower() in ("true", "1", "yes", "on"):
+            return True
+        if text.lower() in ("false", "0", "no", "off"):
+            return False
+        raise ParameterError(f"{name} = {text!r}: true or false is expected")
+    try:
+        return float(text)
+    except ValueError:
+        raise ParameterError(f"{name} = {text!r}: a number is expected") from None
+
+
+class StageSet:
+    """Stages by name; a frozen dataclass whose fields are made by subclasses of :class:`Stage`."""
+
+    @classmethod
+    def paper(cls) -> Self:
+        """The paper's literal values wherever a field names one."""
+        stages = {}
+        for stage in fields(cls):
+            kind = stage.default_factory
+            literal = {f.name: f.metadata["paper"] for f in fields(kind) if f.metadata["paper"] is not None}
+            stages[stage.name] = kind(**literal)
+        return cls(**stages)
+
+    def set(self, **values: Any) -> Self:
+        """A copy with fields changed, named ``stage__name`` or passed as ``**{"stage.name": value}``.
+
+        Raises :class:`ParameterError` for an unknown name or a value outside its range.
+        """
+        stages: dict[str, dict[str, Any]] = {}
+        known = {s.name: [f.name for f in fields(getattr(self, s.name))] for s in fields(self)}
+        for key, value in values.items():
+            stage, _, name = key.replace("__", ".").partition(".")
+            if stage not in known:
+                raise ParameterError(f"unknown stage '{stage}' in '{key}'; stages: {', '.join(known)}")
+            if name not in known[stage]:
+                raise ParameterError(f"unknown parameter '{key}'; {stage} has: {', '.join(known[stage])}")
+            stages.setdefault(stage, {})[name] = value
+        return dataclasses.replace(self, **{s: dataclasses.replace(getattr(self, s), **v) for s, v in stages.items()})
+
+    def to_json(self) -> str:
+        """JSON of every parameter, by stage."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """The inverse of :meth:`to_json`; raises :class:`ParameterError`."""
+        try:
+            stages = json.loads(text)
+            flat = {f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()}
+        except (json.JSONDecodeError, AttributeError) as error:
+            raise ParameterError(f"not a JSON object of parameters: {error}") from None
+        return cls().set(**flat)
+
+    @classmethod
+    def rows(cls) -> list[dict[str, Any]]:
+        """One row per parameter: stage, name, default and the field's documentation."""
+        stages = [(stage.name, entry) for stage in fields(cls) for entry in fields(stage.default_factory)]
+        return [dict(stage=stage, name=entry.name, default=entry.default, **entry.metadata) for stage, entry in stages]
