@@ -10,17 +10,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ..actor import Actor
-from ..blas import one_blas_thread
-from ..errors import AdaptiveFaceError, EndOfRecording, ParameterError, SensorError, TrackingError
+from ..errors import AdaptiveFaceError, ParameterError, TrackingError
 from ..export.result import ResultBuilder
-from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
 from ..sensors.catalogue import list_sensors, open_sensor
-from ..sensors.live import LiveFrame, LiveSensor
-from .feed import FeatureFeed
-from .guided import STEPS, Guidance, GuidedCapture
+from ..sensors.live import LiveSensor
+from .guided import STEPS
 from .recorder import LiveRecorder
-from .run import COLOUR_FRAMES
+from .run import BUILDING, SCANNING, STARTING, LiveRun
 from .session import LiveSession
 from .status import StatusLine
 
@@ -29,6 +26,9 @@ NOTEBOOK = "live_sensor.ipynb"
 SENSOR_VARIABLE, ACTOR_VARIABLE = "ADAPTIVEFACE_SENSOR", "ADAPTIVEFACE_ACTOR"
 #: Results kept before their storage grows.
 FIRST_RESULTS = 900
+#: Longest wait before Ctrl-C is looked at, s.
+POLL_SECONDS = 0.2
+DEGRADED = "no depth: a degraded mode; sizes and distances are guesses, and nothing is learned"
 
 
 def run_live(args: argparse.Namespace, parameters: Parameters) -> int:
@@ -67,7 +67,10 @@ class _Headless:
     def __init__(self, args: argparse.Namespace, parameters: Parameters) -> None:
         self.args, self.parameters, self.line = args, parameters, StatusLine()
         self._check_outputs()
-        self.actor = Actor.load(args.actor) if args.actor else None
+        self._given = Actor.load(args.actor) if args.actor else None
+        self._builder: ResultBuilder | None = None
+        self._spoken: str | None = None  # the last of the scan's instructions
+        self._building = False
 
     def _check_outputs(self) -> None:
         from ..sensors.record import check_new
@@ -87,17 +90,15 @@ class _Headless:
             check_streaming()
 
     def run(self) -> int:
+        """Until the end of the recording, of ``--seconds``, or Ctrl-C; the exit status."""
         with ExitStack() as stack:
             sensor = stack.enter_context(open_sensor(self.args.sensor))
             print(f"{sensor.name}: " + ("Ctrl-C ends and saves" if sensor.live else "every frame, until its end"))
             stack.enter_context(self._recording(sensor))
-            feed = stack.enter_context(FeatureFeed(sensor))
-            if self.actor is None:
-                self.actor = self._capture(feed)
-            if self.args.save_actor is not None:
-                self.actor.save(self.args.save_actor)
-                print(f"{self.args.save_actor}: {len(self.actor.neutral)} vertices")
-            self._track(feed)
+            run = stack.enter_context(LiveRun(sensor, self._given, self.parameters, watch=self._show))
+            while not run.wait(POLL_SECONDS):
+                pass
+            self._track(run.session)
         return 0
 
     @contextmanager
@@ -111,61 +112,50 @@ class _Headless:
         finally:
             print(recorder.close())
 
-    # ---- the neutral scan ------------------------------------------------------------------------------------------
-    def _capture(self, feed: FeatureFeed) -> Actor:
-        """A rig by the guided neutral scan."""
-        if feed.sensor.colour_only:
-            return self._proportions(feed)
-        guide, spoken = GuidedCapture(), None
-        print("neutral scan: keep your face relaxed")
-        while not guide.done:
-            try:
-                guidance = guide.add(feed.read(1.0))
-            except EndOfRecording:
-                guidance = guide.finish()
-            except SensorError as error:
-                if not feed.running:
-                    raise
-                self.line.show(str(error))
-                continue
-            if guidance.text != spoken:
-                spoken = guidance.text
-                self.line.end(f"  {spoken}")
-            self.line.show(_scan_line(guidance))
-        self.line.end()
-        for warning in guidance.warnings:
-            print(f"  note: {warning}")
-        with one_blas_thread():
-            actor = guide.build(self.parameters, lambda step, share: self.line.show(f"{step} {share:.0%}"))
-        self.line.end()
-        return actor
+    # ---- until it tracks, on the run's thread ----------------------------------------------------------------------
+    def _show(self, run: LiveRun) -> None:
+        if run.state == SCANNING:
+            self._show_scan(run)
+        elif run.state == BUILDING:
+            self._show_building(run)
+        elif run.state == STARTING:
+            self._prepare(run)
 
-    def _proportions(self, feed: FeatureFeed) -> Actor:
-        """Without depth: the average head with the person's proportions, from some frames that show the face."""
-        print("no depth: a degraded mode; sizes and distances are guesses, and nothing is learned")
-        print(f"  {STEPS['straight']}")
-        frames: list[LiveFrame] = []
-        while len(frames) < COLOUR_FRAMES:
-            try:
-                frame = feed.read(1.0)
-            except EndOfRecording:
-                break
-            except SensorError as error:
-                if not feed.running:
-                    raise
-                self.line.show(str(error))
-                continue
-            frames += [frame] if frame.features is not None else []
-            self.line.show(f"{len(frames) / COLOUR_FRAMES:4.0%} " + ("" if frame.features is not None else "no face"))
+    def _show_scan(self, run: LiveRun) -> None:
+        if self._spoken is None:
+            self._spoken = STEPS["straight"] if run.colour_only else ""
+            print(f"{DEGRADED}\n  {self._spoken}" if run.colour_only else "neutral scan: keep your face relaxed")
+        guidance = run.guidance
+        if guidance is not None and guidance.text != self._spoken:
+            self._spoken = guidance.text
+            self.line.end(f"  {self._spoken}")
+        if guidance is not None or run.message:
+            self.line.show(run.message or f"{guidance.progress:4.0%} " + "; ".join(guidance.warnings))
+
+    def _show_building(self, run: LiveRun) -> None:
+        if not self._building:
+            self._building = True
+            self.line.end()
+            for warning in run.guidance.warnings:
+                print(f"  note: {warning}")
+        step, share = run.progress
+        if step:
+            self.line.show(f"{step} {share:.0%}")
+
+    def _prepare(self, run: LiveRun) -> None:
+        """The head is known: keep it, and be there for the first result."""
         self.line.end()
-        return capture_colour_actor(frames, parameters=self.parameters)
+        if self.args.save_actor is not None:
+            run.actor.save(self.args.save_actor)
+            print(f"{self.args.save_actor}: {len(run.actor.neutral)} vertices")
+        if self.args.out is not None:
+            builder = ResultBuilder(run.actor, self.parameters, FIRST_RESULTS, colour_only=run.colour_only)
+            run.on_result(lambda result: builder.add(result.tracked))
+            self._builder = builder
+        self._stream(run)
 
     # ---- tracking --------------------------------------------------------------------------------------------------
-    def _track(self, feed: FeatureFeed) -> None:
-        builder = self._builder(feed.sensor.colour_only) if self.args.out else None
-        callbacks = [lambda result: builder.add(result.tracked)] if builder else []
-        callbacks += self._streams()
-        session = LiveSession(feed, self.actor, self.parameters, callbacks)
+    def _track(self, session: LiveSession) -> None:
         try:
             with session:
                 self._follow(session)
@@ -173,21 +163,21 @@ class _Headless:
             self.line.end("ended by Ctrl-C")
         finally:
             self.line.end(str(session.statistics))
-            if builder is not None and builder.done:
-                result = builder.finish(session.model.correctives)
-                result.save(self.args.out)
-                print(f"{self.args.out}: {result.summary()}")
-        statistics = session.statistics
+            self._save(session)
+        statistics, name = session.statistics, session.feed.sensor.name
         if session.ended and not statistics.tracked + statistics.lost:
             raise TrackingError(
-                f"{feed.sensor.name}: the recording ended with the neutral scan; keep it by --save-actor FILE, then "
-                "track with --actor FILE"
+                f"{name}: the recording ended with the neutral scan; keep it by --save-actor FILE, then track with "
+                "--actor FILE"
             )
         if not statistics.tracked:
-            raise TrackingError(f"{feed.sensor.name}: the face was never found")
+            raise TrackingError(f"{name}: the face was never found")
 
-    def _builder(self, colour_only: bool) -> ResultBuilder:
-        return ResultBuilder(self.actor, self.parameters, FIRST_RESULTS, colour_only=colour_only)
+    def _save(self, session: LiveSession) -> None:
+        if self._builder is not None and self._builder.done:
+            result = self._builder.finish(session.model.correctives)
+            result.save(self.args.out)
+            print(f"{self.args.out}: {result.summary()}")
 
     def _follow(self, session: LiveSession) -> None:
         start, last = time.monotonic(), -1
@@ -206,23 +196,19 @@ class _Headless:
         pairs = ((self.args.vmc, VMC_PORT), (self.args.osc, OSC_PORT))
         return tuple(None if text is None else Address.parse(text, port) for text, port in pairs)
 
-    def _streams(self) -> list:
+    def _stream(self, run: LiveRun) -> None:
         vmc, osc = self._addresses()
         if vmc is None and osc is None:
-            return []
+            return
         from ..export.stream import Streamer
         from ..retargeting.smoothing import OneEuro
 
         smoothing = OneEuro() if getattr(self.args, "smooth", False) else None
-        streamer = Streamer(self.actor, self.parameters.blendshapes.A, vmc, osc, smoothing)
+        streamer = Streamer(run.actor, self.parameters.blendshapes.A, vmc, osc, smoothing)
         for kind, address in (("VMC", vmc), ("OSC", osc)):
             if address:
                 print(f"{kind} to {address.host}:{address.port}")
-        return [lambda result: streamer.send(result.tracked)]
-
-
-def _scan_line(guidance: Guidance) -> str:
-    return f"{guidance.progress:4.0%} " + "; ".join(guidance.warnings)
+        run.on_result(lambda result: streamer.send(result.tracked))
 
 
 def run_live_stream(args: argparse.Namespace, parameters: Parameters) -> int:

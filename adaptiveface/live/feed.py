@@ -29,17 +29,18 @@ CLOSE_SECONDS = 0.9
 class FeatureFeed:
     """Frames of ``sensor`` with 2D features, found in a thread of its own; a context manager. The sensor stays open.
 
-    Frames that bring features pass unchanged, unless a ``detector`` is given: that one sees every colour image. Where
-    neither is the case a detector is made for the first frame. A recording waits until its frames are read.
+    Frames that bring features pass unchanged, unless a ``detector`` is given or ``always`` is set: then every colour image
+    is searched. Where no detector is given one is made for the first frame that needs it, and closed at the end. A
+    recording waits until its frames are read.
 
     ``dropped``: frames whose features were found but which a newer one replaced before they were read. What the
     detector was too slow for is counted by the sensor (``superseded``). ``detect_ms``: median time of the last
     detections, 0 without any. ``running``: False once nothing more will come.
     """
 
-    def __init__(self, sensor: LiveSensor, detector: FeatureDetector | None = None) -> None:
+    def __init__(self, sensor: LiveSensor, detector: FeatureDetector | None = None, always: bool = False) -> None:
         self.sensor, self.dropped, self.running = sensor, 0, True
-        self._detector, self._always = detector, detector is not None
+        self._detector, self._always = detector, always or detector is not None
         self._own_detector: FeatureDetector | None = None
         self._changed = threading.Condition()
         self._frame: LiveFrame | None = None

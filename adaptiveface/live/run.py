@@ -7,24 +7,21 @@ from collections.abc import Callable
 from os import PathLike
 
 from ..actor import Actor
-from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError
-from ..landmarks import FeatureDetector
-from ..neutral.colour import capture_colour_actor
+from ..errors import AdaptiveFaceError
 from ..parameters import Parameters
 from ..sensors.catalogue import open_sensor
 from ..sensors.live import LiveFrame, LiveSensor
 from .feed import FeatureFeed
-from .guided import STEPS, Guidance, GuidedCapture
+from .guided import Guidance, GuidedCapture
+from .scan import Cancelled, NeutralScan
 from .session import LiveResult, LiveSession
 
-#: Longest wait for a frame, s; closing has to stay responsive.
-POLL_SECONDS = 0.1
+#: Longest :meth:`LiveRun.close` waits for the step in hand, s. What takes longer ends in the background.
 CLOSE_SECONDS = 1.0
-#: Frames with a face from which the proportions are taken where there is no depth.
-COLOUR_FRAMES = 30
 
-#: What a run is doing.
-OPENING, SCANNING, BUILDING, TRACKING, FAILED, CLOSED = "opening", "scanning", "building", "tracking", "failed", "closed"
+#: What a run is doing, in this order; FAILED and CLOSED end it. STARTING: the head is known and not tracked yet.
+OPENING, SCANNING, BUILDING, STARTING, TRACKING = "opening", "scanning", "building", "starting", "tracking"
+FAILED, CLOSED = "failed", "closed"
 
 
 class LiveRun:
@@ -32,9 +29,12 @@ class LiveRun:
 
     ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``state`` is one of
     the constants above; ``error`` says why it is ``FAILED``. While scanning, ``guide`` and ``guidance`` tell how far it
-    is and ``frame`` is what the sensor saw; while building, ``progress`` is the step and the share done; from then on
-    ``session`` tracks. ``detect``: MediaPipe looks for features even where the sensor brings its own. An open sensor
-    stays open after :meth:`close`; one that was opened here is closed.
+    is and ``frame`` is what the sensor saw; while building, ``progress`` is the step and the share done; when starting,
+    ``actor`` is the head; from then on ``session`` tracks. ``detect``: MediaPipe looks for features even where the sensor
+    brings its own. An open sensor stays open after :meth:`close`; one that was opened here is closed.
+
+    A view polls all this, or gives ``watch``: called with the run, on the run's thread, at every change of it until it
+    tracks (results come by :meth:`on_result`, which when starting still sees every one). What it raises fails the run.
     """
 
     def __init__(
@@ -44,6 +44,7 @@ class LiveRun:
         parameters: Parameters | None = None,
         seconds: float = 10.0,
         detect: bool = False,
+        watch: Callable[[LiveRun], None] | None = None,
     ) -> None:
         self._given, self._owned, self._detect = sensor, isinstance(sensor, str), detect
         self.name = sensor if self._owned else sensor.name
@@ -52,14 +53,11 @@ class LiveRun:
         self.sensor: LiveSensor | None = None
         self.feed: FeatureFeed | None = None
         self.session: LiveSession | None = None
-        self.guide: GuidedCapture | None = None
-        self.guidance: Guidance | None = None
-        self.frame: LiveFrame | None = None
         self.error: AdaptiveFaceError | None = None
-        self.progress = ("", 0.0)
-        self.message = ""
+        self._scan: NeutralScan | None = None
+        self._trouble = ""  # what a session had to say when it was closed
         self._callbacks: list[Callable[[LiveResult], None]] = []
-        self._enough = self._closed = False
+        self._watch, self._closed = watch, False
         self._lock = threading.RLock()
         self.state = OPENING
         self._start(self._open)
@@ -69,6 +67,31 @@ class LiveRun:
     def colour_only(self) -> bool:
         """Whether the sensor measures no depth: the degraded mode, on the average head where no actor is given."""
         return self.sensor is not None and self.sensor.colour_only
+
+    @property
+    def guide(self) -> GuidedCapture | None:
+        """The neutral scan's coverage; None before it, and where there is no depth."""
+        return None if self._scan is None else self._scan.guide
+
+    @property
+    def guidance(self) -> Guidance | None:
+        """What to tell the person, and what the finished scan lacks; None before the first frame."""
+        return None if self._scan is None else self._scan.guidance
+
+    @property
+    def frame(self) -> LiveFrame | None:
+        """The scan's newest frame."""
+        return None if self._scan is None else self._scan.frame
+
+    @property
+    def progress(self) -> tuple[str, float]:
+        """Step of building the head, and the share of it that is done."""
+        return ("", 0.0) if self._scan is None else self._scan.progress
+
+    @property
+    def message(self) -> str:
+        """What is wrong with the sensor while scanning, or ""."""
+        return self._trouble if self._scan is None else self._scan.message or self._trouble
 
     @property
     def parameters(self) -> Parameters:
@@ -83,13 +106,16 @@ class LiveRun:
             self._parameters = parameters
 
     def finish_scan(self) -> None:
-        """Enough of the neutral scan: build from the frames there are (an error is shown while there are none)."""
-        self._enough = True
+        """Enough of the neutral scan: build from the frames there are, or from the first one that can be used."""
+        scan = self._scan
+        if scan is not None:
+            scan.finish()
 
     def relearn(self) -> None:
         """Scan the neutral face again, then go on tracking with the new head. Does nothing where that is going on."""
         if self.state != TRACKING:
             return
+        self._trouble, self._scan = "", None
         self._stop_session()
         self.state = SCANNING
         self._start(self._scan_and_track)
@@ -102,6 +128,7 @@ class LiveRun:
                 self.session.add_callback(callback)
 
         def remove() -> None:
+            """Stop calling it; a second time does nothing."""
             with self._lock:
                 if callback in self._callbacks:
                     self._callbacks.remove(callback)
@@ -110,18 +137,25 @@ class LiveRun:
 
         return remove
 
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it tracks, at most ``timeout`` s; returns whether it does. Raises what it failed with."""
+        self._thread.join(timeout)
+        if self.error is not None:
+            raise self.error
+        return self.state == TRACKING
+
     def close(self) -> None:
         """Stop every thread, within a few seconds; calling it again does nothing.
 
         A sensor that is just being opened is closed as soon as its library lets go.
         """
-        self._closed = True
-        self._thread.join(CLOSE_SECONDS)
-        self._stop_session()
-        if self.feed is not None:
-            self.feed.close()
-        if self._owned and self.sensor is not None:
-            self.sensor.close()
+        with self._lock:
+            self._closed, scan = True, self._scan
+        if scan is not None:
+            scan.cancel()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(CLOSE_SECONDS)
+        self._release()
         self.state = CLOSED
 
     def __enter__(self) -> LiveRun:
@@ -138,99 +172,64 @@ class LiveRun:
     def _guarded(self, work: Callable[[], None]) -> None:
         try:
             work()
+        except Cancelled:
+            pass
         except AdaptiveFaceError as error:
-            self.error = error
+            self._fail(error)
         except Exception as error:
-            self.error = AdaptiveFaceError(f"{self.name}: {error or type(error).__name__}")
-            self.error.__cause__ = error
-        if self.error is not None and not self._closed:
-            self.state = FAILED
+            failure = AdaptiveFaceError(f"{self.name}: {error or type(error).__name__}")
+            failure.__cause__ = error
+            self._fail(failure)
+        if self._closed:  # close() may not have waited for what was going on here
+            self._release()
+
+    def _fail(self, error: AdaptiveFaceError) -> None:
+        with self._lock:
+            if not self._closed:  # else it is closed in the midst of something, and nobody asks
+                self.error, self.state = error, FAILED
+
+    def _enter(self, state: str) -> None:
+        with self._lock:
+            if self._closed:
+                raise Cancelled
+            self.state = state
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._watch is not None:
+            self._watch(self)
 
     def _open(self) -> None:
         sensor = open_sensor(self._given) if self._owned else self._given
-        if self._closed:
-            if self._owned:
-                sensor.close()
-            return
-        self.sensor, self.name = sensor, sensor.name
-        self.feed = FeatureFeed(sensor, FeatureDetector(video=True) if self._detect else None)
+        with self._lock:
+            self.sensor, self.name = sensor, sensor.name
+            if self._closed:
+                raise Cancelled
+            self.feed = FeatureFeed(sensor, always=self._detect)
         if self.actor is None:
             self._scan_and_track()
         else:
             self._track()
 
     def _scan_and_track(self) -> None:
-        if self.colour_only:
-            self._proportions_and_track()
-            return
-        self.guide, self._enough = GuidedCapture(self.seconds), False
-        self.guidance = None
-        self.state = SCANNING
-        while not self.guide.done:
-            if self._closed:
-                return
-            self._scan_one()
-        self.state = BUILDING
-        self.actor = self.guide.build(self._parameters, self._report)
+        with self._lock:
+            self._scan = NeutralScan(self.feed, self.seconds, self._tell)
+        self._enter(SCANNING)
+        self._scan.collect()
+        self._enter(BUILDING)
+        self.actor = self._scan.build(self._parameters)
         self._track()
-
-    def _proportions_and_track(self) -> None:
-        """Without depth: the average head, with what the 2D features of some frames tell about its proportions."""
-        frames: list[LiveFrame] = []
-        self.guide, self._enough, self.state = None, False, SCANNING
-        while len(frames) < COLOUR_FRAMES and not (self._enough and frames):
-            if self._closed:
-                return
-            frame = self._read()
-            if frame is None:
-                continue
-            found = frame.features is not None
-            frames += [frame] if found else []
-            warnings = () if found else ("no face: look at the camera, well lit",)
-            text, share = STEPS["straight"], len(frames) / COLOUR_FRAMES
-            self.guidance = Guidance(text, "straight", share, {}, warnings, share >= 1)
-        self.state = BUILDING
-        self.actor = capture_colour_actor(frames, parameters=self._parameters)
-        self._track()
-
-    def _read(self) -> LiveFrame | None:
-        """The newest frame, or None for a moment without."""
-        try:
-            frame = self.feed.read(POLL_SECONDS)
-        except SensorTimeoutError:
-            return None
-        except EndOfRecording:
-            raise
-        except SensorError as error:
-            if not self.feed.running:
-                raise
-            self.message = str(error)
-            return None
-        self.frame, self.message = frame, ""
-        return frame
-
-    def _scan_one(self) -> None:
-        try:
-            frame = self._read()
-        except EndOfRecording:
-            self.guidance = self.guide.finish()
-            return
-        if frame is None:
-            return
-        self.guidance = self.guide.add(frame)
-        if self._enough and self.guide.frames:
-            self.guidance = self.guide.finish()
-
-    def _report(self, step: str, share: float) -> None:
-        self.progress = (step, share)
 
     def _track(self) -> None:
+        self._enter(STARTING)
         with self._lock:
-            if self._closed:  # while the head was built, which close() does not wait for
-                return
+            if self._closed:
+                raise Cancelled
             self.session = LiveSession(self.feed, self.actor, self._parameters, tuple(self._callbacks))
             self.state = TRACKING
+        self._tell()
 
+    # ---- ending ----------------------------------------------------------------------------------------------------
     def _stop_session(self) -> None:
         with self._lock:
             session, self.session = self.session, None
@@ -238,7 +237,14 @@ class LiveRun:
             try:
                 session.close()
             except AdaptiveFaceError as error:
-                self.message = str(error)
+                self._trouble = str(error)
+
+    def _release(self) -> None:
+        self._stop_session()
+        if self.feed is not None:
+            self.feed.close()
+        if self._owned and self.sensor is not None:
+            self.sensor.close()
 
 
-__all__ = ["BUILDING", "CLOSED", "FAILED", "LiveRun", "OPENING", "SCANNING", "TRACKING"]
+__all__ = ["BUILDING", "CLOSED", "FAILED", "LiveRun", "OPENING", "SCANNING", "STARTING", "TRACKING"]

@@ -1,0 +1,135 @@
+"""The neutral scan, from a feed's frames to a head: guided where there is depth, without it the proportions alone.
+
+On the caller's thread and without a view; :class:`~adaptiveface.live.run.LiveRun` drives it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ..actor import Actor
+from ..blas import one_blas_thread
+from ..errors import EndOfRecording, SensorError, SensorTimeoutError, TrackingError
+from ..neutral.colour import capture_colour_actor
+from ..parameters import Parameters
+from ..sensors.live import LiveFrame
+from .feed import FeatureFeed
+from .guided import STEPS, Guidance, GuidedCapture
+
+#: Longest wait for a frame, s; cancelling has to stay responsive.
+POLL_SECONDS = 0.1
+#: Without a frame for so long (s) the scan says so.
+SILENCE_SECONDS = 1.0
+#: Frames with a face from which the proportions are taken where there is no depth.
+COLOUR_FRAMES = 30
+
+
+class Cancelled(Exception):  # noqa: N818 - somebody's wish, not a failure
+    """The scan was cancelled."""
+
+
+class NeutralScan:
+    """One neutral scan of what ``feed`` delivers, ``seconds`` long: :meth:`collect`, then :meth:`build`.
+
+    ``watch()`` is called after every frame, message and step of the work. ``guidance``: what to tell the person, None
+    before the first frame; ``guide``: the coverage behind it, None without depth; ``frame``: what the sensor saw;
+    ``message``: what is wrong with the sensor, or ""; ``progress``: step of :meth:`build` and share done.
+    """
+
+    def __init__(self, feed: FeatureFeed, seconds: float = 10.0, watch: Callable[[], None] = lambda: None) -> None:
+        self.feed, self._watch = feed, watch
+        self.guide = None if feed.sensor.colour_only else GuidedCapture(seconds)
+        self.guidance: Guidance | None = None
+        self.frame: LiveFrame | None = None
+        self.message, self.progress = "", ("", 0.0)
+        self._enough = self._cancelled = False
+        self._faces: list[LiveFrame] = []  # without depth: the frames that show a face
+        self._last_frame = time.perf_counter()
+
+    # ---- from any thread -------------------------------------------------------------------------------------------
+    def finish(self) -> None:
+        """Enough: build from the frames there are, or from the first one that can be used."""
+        self._enough = True
+
+    def cancel(self) -> None:
+        """End :meth:`collect` or :meth:`build` with :class:`Cancelled`, as soon as the step in hand is done."""
+        self._cancelled = True
+
+    # ---- the work --------------------------------------------------------------------------------------------------
+    def collect(self) -> None:
+        """Read frames until there are enough or the recording ends.
+
+        Raises :class:`TrackingError` where the recording shows no face, :class:`SensorError` of a sensor that is gone
+        for good, :class:`Cancelled`.
+        """
+        while self.guidance is None or not self.guidance.done:
+            self._check()
+            try:
+                frame = self._read()
+            except EndOfRecording:
+                self.guidance = self._finished()
+            else:
+                if frame is not None:
+                    self.guidance = self._judged(frame)
+            self._watch()
+
+    def build(self, parameters: Parameters) -> Actor:
+        """The head, after some seconds; raises :class:`TrackingError` or :class:`Cancelled`."""
+        with one_blas_thread():
+            if self.guide is None:
+                return capture_colour_actor(self._faces, parameters=parameters)
+            return self.guide.build(parameters, self._report)
+
+    def _check(self) -> None:
+        if self._cancelled:
+            raise Cancelled
+
+    def _report(self, step: str, share: float) -> None:
+        self._check()
+        self.progress = (step, share)
+        self._watch()
+
+    def _read(self) -> LiveFrame | None:
+        """The newest frame, or None for a moment without."""
+        try:
+            frame = self.feed.read(POLL_SECONDS)
+        except EndOfRecording:
+            raise
+        except SensorTimeoutError:
+            silence = time.perf_counter() - self._last_frame
+            if silence > SILENCE_SECONDS:
+                self.message = f"{self.feed.sensor.name}: no new frame for {silence:.0f} s"
+            return None
+        except SensorError as error:
+            if not self.feed.running:
+                raise
+            self.message = str(error)
+            return None
+        self.frame, self.message, self._last_frame = frame, "", time.perf_counter()
+        return frame
+
+    def _judged(self, frame: LiveFrame) -> Guidance:
+        if self.guide is None:
+            return self._face_or_not(frame)
+        guidance = self.guide.add(frame)
+        return self.guide.finish() if self._enough and self.guide.frames else guidance
+
+    def _face_or_not(self, frame: LiveFrame) -> Guidance:
+        found = frame.features is not None
+        self._faces += [frame] if found else []
+        share = len(self._faces) / COLOUR_FRAMES
+        done = share >= 1 or (self._enough and bool(self._faces))
+        warnings = () if found else ("no face: look at the camera, well lit",)
+        return Guidance(STEPS["straight"], "straight", min(share, 1.0), {}, warnings, done)
+
+    def _finished(self) -> Guidance:
+        """The recording is over: what there is has to do."""
+        if self.guide is not None:
+            return self.guide.finish()
+        if not self._faces:
+            raise TrackingError(f"{self.feed.sensor.name}: no frame of the recording shows a face")
+        return Guidance(STEPS["straight"], "straight", 1.0, {}, (), True)
+
+
+__all__ = ["COLOUR_FRAMES", "Cancelled", "NeutralScan"]
