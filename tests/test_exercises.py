@@ -169,6 +169,15 @@ WRONG_SIDES = {
     "flat": (lambda **c: pull()(**c).ravel(), "wrong shape"),
     "transposed": (lambda **c: pull()(**c).T, "transpose"),
     "thrice": (lambda **c: 3 * pull()(**c), "times 3"),
+    "depth sign and no weights": (
+        pull(depth_sign=-1, match=np.ones_like, strength=np.ones_like),
+        "the sign is wrong and the weights of the matches do not enter; in the features' part the weights do not enter",
+    ),
+    "no w1, no shares": (pull(w=lambda w1: 1.0, add=whole), "part w1 does not enter; in the features' part the bary"),
+    "feature sign, no feature weights": (
+        pull(feature_sign=-1, strength=np.ones_like),
+        "in the features' part the sign is wrong and the weights do not enter",
+    ),
 }
 
 

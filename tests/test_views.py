@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import threading
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -512,10 +513,40 @@ def test_jitter_and_lag():
 
 
 def test_sweep_fills_its_chart(session):
-    chart = views.GridChart((0, 2), (5, 20), "K", "S", "error")
+    chart = views.GridChart((0, 2), (5, 20), "K", "S", "error", limits=(0, 1))
     values = pipeline_study.sweep(session, {"adaptive_pca.K": (0, 2)}, {"adaptive_pca.S": (5, 20)}, chart)
     assert np.isfinite(values).all() and np.array_equal(values, chart.values)
     assert values[0, 0] == values[0, 1], "without correctives the buffer does not matter"
+
+
+def test_a_cell_of_a_sweep_keeps_its_colour_while_others_are_filled():
+    chart = views.GridChart((0, 2), (5, 20), "K", "S", "error", limits=(0, 1))
+    pictures = []
+    for value in (0.3, 0.9):
+        chart.set(0, len(pictures), value)
+        pictures.append(cv2.imdecode(np.frombuffer(chart._image.value, np.uint8), cv2.IMREAD_COLOR))
+    first, second = (picture[50:130, 70:110] for picture in pictures)  # within the first cell, beside its number
+    assert np.array_equal(first, second) and first.std(axis=(0, 1)).max() < 1
+
+
+@pytest.mark.parametrize("elsewhere", [False, True], ids=["its own processes", "a scheduler by its address"])
+def test_sweep_on_a_cluster_gives_the_same_numbers(session, elsewhere):
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    rows, columns = {"adaptive_pca.K": (0, 2)}, {"adaptive_pca.S": (5,)}
+    with ExitStack() as stack:
+        address = None
+        if elsewhere:
+            local = dict(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp")
+            address = stack.enter_context(distributed.LocalCluster(**local)).scheduler_address
+        client = stack.enter_context(pipeline_study.cluster(address, workers=1))
+        values = pipeline_study.sweep(session, rows, columns, client=client)
+    assert np.array_equal(values, pipeline_study.sweep(session, rows, columns))
+
+
+def test_a_scheduler_that_does_not_answer_is_named():
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    with pytest.raises(AdaptiveFaceError, match="no Dask scheduler answers at nonsense://here"):
+        pipeline_study.cluster("nonsense://here")
 
 
 # ---- session ----

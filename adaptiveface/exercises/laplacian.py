@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,16 +95,54 @@ def near(a, b, case: Case) -> bool:
 
 
 def describe(answer, expected, case: Case) -> str:
-    """Which of the two parts is off."""
-    at_features = np.zeros(len(expected), bool)
-    at_features[case["features"].corners] = True
-    wrong = np.abs(answer - expected).max(axis=1) > 1e-7 * np.abs(expected).max()
-    if not wrong[~at_features].any():
-        return (
-            f"only rows at the features' corners are off: look at the features' pull ({scale_hint(answer, expected)})"
-        )
-    hint = scale_hint(answer, expected)
-    return f"row {int(wrong.argmax())} is off, in all {int(wrong.sum())} of {len(wrong)} rows; {hint}"
+    """What is off in the depth part and in the features' part, each by itself: people make several mistakes at once."""
+    alone = np.ones(len(expected), bool)
+    alone[case["features"].corners] = False  # rows that hold the depth part only
+    depth = _named(_depth_variants(case), lambda part: _same_rows(answer[alone], part[alone]))
+    if depth is None:
+        hint = scale_hint(answer[alone], expected[alone])
+        return f"something is off in the depth part, which alone is in the rows of vertices at no feature: {hint}"
+    words, part = depth
+    found = [f"in the depth part {' and '.join(words)}"] if words else []
+    features = _named(_feature_variants(case), lambda pull: _same_rows(answer - part, pull))
+    if features is None:
+        found.append(f"something is off in the features' part ({scale_hint(answer - part, expected - part)})")
+    elif features[0]:
+        found.append(f"in the features' part {' and '.join(features[0])}")
+    return "; ".join(found)
+
+
+def _same_rows(a, b) -> bool:
+    return bool(np.abs(a - b).max() <= 1e-7 * max(np.abs(b).max(), 1e-12))
+
+
+def _named(variants, fits):
+    """The first (words, part) of the variants whose part fits; None where none does."""
+    return next(((words, part) for words, part in variants if fits(part)), None)
+
+
+def _variants(*choices):
+    """Every combination of choices (words, value), the right one of each first: (all words, all values)."""
+    for combination in sorted(itertools.product(*choices), key=lambda pairs: sum(bool(words) for words, _ in pairs)):
+        yield [words for words, _ in combination if words], [value for _, value in combination]
+
+
+def _depth_variants(case):
+    """(words, the depth part (n, 3)) for every combination of what may be wrong with it."""
+    w1, weights = case["w1"], case["weights"]
+    scales = (("", w1), ("w1 does not enter", 1.0), ("w1 enters squared", w1**2), ("the root of w1 enters", w1**0.5))
+    matches = (("", weights), ("the weights of the matches do not enter", np.ones_like(weights)))
+    for words, (sign, scale, match) in _variants((("", 1.0), ("the sign is wrong", -1.0)), scales, matches):
+        yield words, sign * _depth(case, w1=scale, weights=match)
+
+
+def _feature_variants(case):
+    """(words, the features' part (n, 3)) for every combination of what may be wrong with it."""
+    features = case["features"]
+    weights = (("", features.weights), ("the weights do not enter", np.ones_like(features.weights)))
+    shares = (("", features.shares), ("the barycentric shares do not enter", np.ones_like(features.shares)))
+    for words, (sign, weight, share) in _variants((("", 1.0), ("the sign is wrong", -1.0)), weights, shares):
+        yield words, sign * _features(case, weights=weight, shares=share)
 
 
 def swap(function):

@@ -115,7 +115,10 @@ class BarChart:
 
 
 class GridChart:
-    """A table of numbers as a heat map that fills cell by cell (parameter sweeps)."""
+    """A table of numbers as a heat map that fills cell by cell (parameter sweeps).
+
+    ``limits``: the colours' range, fixed from the start, so that a cell keeps its colour while others are filled.
+    """
 
     def __init__(
         self,
@@ -124,7 +127,7 @@ class GridChart:
         row_label: str,
         column_label: str,
         title: str,
-        limits=None,
+        limits: tuple[float, float],
         size: tuple[int, int] = (460, 340),
     ) -> None:
         self.rows, self.columns, self.limits = list(rows), list(columns), limits
@@ -144,8 +147,7 @@ class GridChart:
             figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, facecolor="white", layout="constrained"
         )
         canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
-        low, high = self.limits or (np.nanmin(self.values, initial=np.inf), np.nanmax(self.values, initial=-np.inf))
-        low, high = (low, max(high, low + 1e-9)) if np.isfinite([low, high]).all() else (0.0, 1.0)
+        low, high = self.limits
         image = axis.imshow(self.values, vmin=low, vmax=high, cmap="viridis", aspect="auto")
         axis.set_xticks(range(len(self.columns)), self.columns, fontsize=8)
         axis.set_yticks(range(len(self.rows)), self.rows, fontsize=8)

@@ -59,6 +59,14 @@ class Measures:
             return float("nan")
         return float(np.nanmean(self.error(result, frame, stage)))
 
+    def mean_map(self, results, frames, stage: str = "v4") -> np.ndarray:
+        """(N,) mean of :meth:`error` over the tracked frames, mm; NaN where it is never known."""
+        errors = np.full((1, len(self.session.actor.neutral)), np.nan)
+        tracked = [self.error(r, f, stage) for r, f in zip(results, frames, strict=True) if r is not None and r.tracked]
+        errors = np.vstack([errors, *tracked])
+        known = np.isfinite(errors).sum(axis=0)
+        return np.where(known > 0, np.nansum(errors, axis=0) / np.maximum(known, 1), np.nan)
+
     def stage(self, name: str) -> Pane:
         """A pane: the mesh of stage "v1" .. "v4", coloured by its error."""
         return lambda result, frame: (getattr(result, name), self.error(result, frame, name))

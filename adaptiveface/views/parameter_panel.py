@@ -158,7 +158,7 @@ def _log_steps(low: float, high: float, *known) -> list[tuple[str, float]]:
         | {float(k) for k in known if k is not None}
         | ({0.0} if low <= 0 else set())
     )
-    return [(f"{s:.3g}", s) for s in sorted(steps)]
+    return [(_short(float(f"{s:.3g}")), s) for s in sorted(steps)]
 
 
 def _read(control: widgets.Widget):

@@ -21,7 +21,7 @@ def encode(image: np.ndarray, format: str = "jpeg", quality: int = 85) -> bytes:
 def image_widget(width: int, height: int, format: str = "jpeg", name: str = "") -> widgets.Image:
     """A picture that shrinks with its window and keeps its proportions. ``name`` becomes a CSS class for tests."""
     image = widgets.Image(format=format, width=width, height=height)
-    image.layout = widgets.Layout(max_width="100%", height="auto", object_fit="contain", margin="2px")
+    image.layout = widgets.Layout(max_width="100%", height="auto", object_fit="contain", margin="2px 0")
     if name:
         image.add_class(name)
     return image

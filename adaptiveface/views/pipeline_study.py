@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import logging
 from collections.abc import Callable, Iterable, Sequence
 
 import ipywidgets as widgets
 import numpy as np
 
-from ..errors import MissingExtraError
+from ..errors import AdaptiveFaceError, MissingExtraError
 from ..evaluation.ablation import VARIANTS, Variant
 from ..parameters import Parameters
 from .charts import GridChart
@@ -96,7 +97,7 @@ def sweep(
     """``measure`` for every pair of values of two parameters: (R, C) array, with a progress bar.
 
     ``rows``, ``columns``: {"adaptive_pca.K": values}. ``chart`` fills while the sweep runs. ``client``:
-    a ``dask.distributed.Client`` that computes the cells in parallel (:func:`local_cluster`), None: one by one.
+    a ``dask.distributed.Client`` that computes the cells in parallel (:func:`cluster`), None: one by one.
     """
     from tqdm.auto import tqdm
 
@@ -129,13 +130,21 @@ def _computed(session, cells, settings, measure, client):
         yield futures[future], future.result()
 
 
-def local_cluster(workers: int = 2):
-    """A ``dask.distributed.Client`` with its own worker processes on this machine; close it with ``client.close()``.
+def cluster(address: str | None = None, workers: int = 2):
+    """A ``dask.distributed.Client`` for :func:`sweep`; end it with ``client.close()``.
 
-    Raises :class:`MissingExtraError` where Dask is not installed. ``Client("tcp://...")`` joins a cluster elsewhere.
+    ``address``: that of a scheduler elsewhere ("tcp://host:8786"), None: ``workers`` processes of its own on this
+    machine. Raises :class:`MissingExtraError` where Dask is not installed, :class:`AdaptiveFaceError` where no
+    scheduler answers.
     """
     try:
         from distributed import Client
     except ImportError:
         raise MissingExtraError('Dask is not installed: python -m pip install "adaptiveface[cluster]"') from None
-    return Client(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+    if address is not None:
+        try:
+            return Client(address, timeout=10)
+        except (OSError, ValueError) as error:
+            raise AdaptiveFaceError(f"no Dask scheduler answers at {address}: {error}") from None
+    # Workers that are slow to end are ended; a warning about it would stand below the results.
+    return Client(n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR)

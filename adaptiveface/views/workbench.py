@@ -68,11 +68,12 @@ class Workbench:
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         views = [self.view.widget] + ([self.camera.widget] if self.camera else [])
         below = [
-            widgets.VBox([self.panel.widget, restart, self.message]),
+            widgets.VBox([self.panel.widget, self.message]),
             widgets.VBox([chart.widget for chart, _ in self.charts]),
         ]
         self.widget = widgets.VBox(
-            [widgets.HBox(views, layout=row), self.player.widget, widgets.HBox(below, layout=row)]
+            [widgets.HBox(views, layout=row), widgets.HBox([self.player.widget, restart], layout=row),
+             widgets.HBox(below, layout=row)]  # fmt: skip
         )
         self.widget.add_class("adaptiveface-workbench")
 
