@@ -21,6 +21,8 @@ SKIN = (205.0, 170.0, 150.0)
 PIVOT_DEPTH = 50.0
 #: A colour map that people with any colour vision can order, and that survives printing in grey.
 COLOURMAP = "viridis"
+#: Steps of the sliders for turn and tilt per degree, and for zoom: whole per cent.
+SCALES = (1, 1, 100)
 
 
 class FaceView:
@@ -128,9 +130,17 @@ class FaceView:
 
     def look(self, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0) -> None:
         """Camera ``turn`` degrees to the side and ``tilt`` degrees up from straight ahead; redraws."""
+        self._follow((turn, tilt, zoom), self._image)
+        self._aim(turn, tilt, zoom)
+
+    def _wish(self, *camera: float) -> None:
+        """Look where the picture was dragged. It has its camera: writing it back could undo a newer wish of another thread."""
+        self._follow(camera)
+        self._aim(*camera)
+
+    def _aim(self, turn: float, tilt: float, zoom: float) -> None:
         if self._closed:
             return
-        self._follow(turn, tilt, zoom)
         a, e = np.radians(turn), np.radians(tilt)
         away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
         self._away = away
@@ -166,19 +176,20 @@ class FaceView:
         self.plotter.close()
 
     def _make_widget(self, label: str) -> None:
+        # Whole numbers: JupyterLab's sliders round, and send back what they rounded, which would overtake the next wish.
         self.turn, self.tilt, self.zoom = (
-            widgets.FloatSlider(
-                start, min=low, max=high, step=step, description=name, readout_format=digits,
-                style={"description_width": "36px"}, layout=widgets.Layout(width="200px"),
+            widgets.IntSlider(
+                start, min=round(scale * low), max=round(scale * high), description=name, readout_format="d",
+                style={"description_width": width}, layout=widgets.Layout(width="200px"),
             )
-            for name, start, step, digits, (low, high) in zip(
-                ("turn", "tilt", "zoom"), (0, 0, 1), (1, 1, 0.1), (".0f", ".0f", ".1f"), LIMITS, strict=True
+            for name, start, scale, width, (low, high) in zip(
+                ("turn, °", "tilt, °", "zoom, %"), (0, 0, 100), SCALES, ("44px", "40px", "52px"), LIMITS, strict=True
             )
         )  # fmt: skip
-        move = on_main_thread(lambda *camera: self.look(*camera))
+        move, wish = on_main_thread(lambda *camera: self.look(*camera)), on_main_thread(self._wish)
         for slider in (self.turn, self.tilt, self.zoom):
             slider.observe(lambda change: self._following or move(*self._sliders()), "value")
-        self._image.observe(lambda change: self._following or move(*change.new), "camera")
+        self._image.observe(lambda change: self._following or wish(*change.new), "camera")
         parts = [
             self._image,
             widgets.HBox([self.turn, self.tilt, self.zoom], layout=widgets.Layout(flex_flow="row wrap")),
@@ -188,20 +199,21 @@ class FaceView:
         self.widget = widgets.VBox(parts)
 
     def _sliders(self) -> tuple[float, float, float]:
-        return self.turn.value, self.tilt.value, self.zoom.value
+        return tuple(slider.value / scale for slider, scale in zip((self.turn, self.tilt, self.zoom), SCALES, strict=True))
 
     @property
     def _following(self) -> bool:
         """Whether a change is :meth:`_follow`'s own. Wishes of the browser arrive on another thread, also meanwhile."""
         return self._follower == threading.get_ident()
 
-    def _follow(self, *camera: float) -> None:
-        """Sliders and mouse go on from a camera, wherever it came from."""
+    def _follow(self, camera, image: Turntable | None = None) -> None:
+        """Sliders, and the mouse where ``image`` is given, go on from a camera, wherever it came from."""
         self._follower = threading.get_ident()
         try:
-            for slider, value in zip((self.turn, self.tilt, self.zoom), camera, strict=True):
-                slider.value = min(max(value, slider.min), slider.max)
-            self._image.camera = [float(value) for value in camera]
+            if image is not None:
+                image.camera = [float(value) for value in camera]
+            for slider, scale, value in zip((self.turn, self.tilt, self.zoom), SCALES, camera, strict=True):
+                slider.value = min(max(round(scale * value), slider.min), slider.max)
         finally:
             self._follower = 0
 

@@ -191,6 +191,23 @@ def drag_face(page, face, by: tuple[float, float], steps: int = 12) -> None:
     page.mouse.up()
 
 
+def touch(page, *fingers: tuple, steps: int = 12) -> None:
+    """Touch the screen with one or two fingers at once, each from (x, y) to (x, y), and lift them."""
+    session = page.context.new_cdp_session(page)
+
+    def send(kind: str, share: float) -> None:
+        at = [[a + share * (b - a) for a, b in zip(start, end, strict=True)] for start, end in fingers]
+        points = [] if kind == "touchEnd" else [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(at)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    send("touchStart", 0.0)
+    for k in range(1, steps + 1):
+        send("touchMove", k / steps)
+        page.wait_for_timeout(20)
+    send("touchEnd", 1.0)
+    session.detach()
+
+
 def wait_for_change(page, locator, before: np.ndarray, least: float = 0.005, seconds: float = 15.0) -> float:
     """Share of pixels that changed, once it exceeds ``least``; 0 when that does not happen."""
     end = time.monotonic() + seconds

@@ -64,11 +64,7 @@ def check_mouse(page, face) -> None:
     ahead = lab.pixels(face)
     lab.drag_face(page, face, (80, 30))
     assert lab.wait_for_change(page, face, ahead, least=0.03) > 0.03, "dragging on the face does not turn it"
-    readout = page.locator(".widget-hslider", has_text="turn").first.locator(".widget-readout")
-    end = time.monotonic() + 15  # a busy kernel draws the last wish late, but does draw it
-    while abs(float(readout.inner_text().replace("\u2212", "-"))) != 32 and time.monotonic() < end:
-        page.wait_for_timeout(100)
-    assert abs(float(readout.inner_text().replace("\u2212", "-"))) == 32, "80 pixels are 32 degrees"
+    check_slider(page, "turn", 32, "80 pixels are 32 degrees")
     page.wait_for_timeout(500)
     turned = lab.pixels(face)
     page.wait_for_timeout(500)  # scrolling the page into place must not count as the start of a zoom
@@ -77,6 +73,32 @@ def check_mouse(page, face) -> None:
     face.dblclick()
     page.wait_for_timeout(1000)
     assert lab.changed(ahead, lab.pixels(face)) < 0.003, "a double click does not go back"
+
+
+def check_touch(page, face) -> None:
+    """One finger turns the face, two that move apart enlarge it, two taps go back; the page does not scroll or zoom."""
+    face.scroll_into_view_if_needed()
+    box = face.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    lab.touch(page, ((x - 40, y), (x + 40, y)))
+    check_slider(page, "turn", 32, "80 pixels are 32 degrees")
+    lab.touch(page, ((x - 40, y), (x - 72, y)), ((x + 40, y), (x + 72, y)))
+    check_slider(page, "zoom", 180, "fingers 1.8 times as far apart")
+    check_slider(page, "turn", 32, "a pinch does not turn")
+    assert face.bounding_box() == box and page.evaluate("() => window.visualViewport.scale") == 1, "the page moved"
+    lab.touch(page, ((x, y), (x, y)), steps=1)
+    lab.touch(page, ((x, y), (x, y)), steps=1)
+    check_slider(page, "turn", 0, "two taps go back")
+    check_slider(page, "zoom", 100, "two taps go back")
+
+
+def check_slider(page, name: str, value: float, why: str, seconds: float = 15) -> None:
+    """Wait until a slider of the view shows a value, signs aside: a busy kernel draws the last wish late."""
+    readout = page.locator(".widget-hslider", has_text=name).first.locator(".widget-readout")
+    end = time.monotonic() + seconds
+    while (shown := abs(float(readout.inner_text().replace("\u2212", "-")))) != value and time.monotonic() < end:
+        page.wait_for_timeout(100)
+    assert shown == value, f"{why}: {name} is {shown}, not {value}"
 
 
 def check_playback(page, button: str) -> None:
@@ -97,6 +119,7 @@ def check_playback(page, button: str) -> None:
 def test_laplacian_sliders_and_playback(page, address):
     face, chart = workbench(page, address, LAPLACIAN)
     check_mouse(page, face)
+    check_touch(page, face)
     check_drag(page, face, chart, "laplacian.w2", 90)
     check_playback(page, ".adaptiveface-play")
     assert page.problems == []
