@@ -250,3 +250,19 @@ def test_a_recording_plays_as_a_sensor(mannequin):
         first, second = sensor.read(30), sensor.read(30)
     assert (first.index, second.index) == (0, 1) and second.timestamp > first.timestamp
     assert first.host_timestamp >= started - 30 and first.colour.shape[:2] == first.depth.shape
+
+
+def test_a_recording_is_waited_for_longer_than_a_sensor(monkeypatch):
+    """On a busy machine reading a frame may take seconds; none is lost for it."""
+    monkeypatch.setattr(live_module, "LIVE_SECONDS", 0.05)
+
+    class Slow(ScriptedDriver):
+        def grab(self, timeout: float) -> RawFrame | None:
+            time.sleep(0.1)
+            return super().grab(timeout)
+
+    with LiveSensor(lambda: Slow([small_frame(0), STALL, STALL, small_frame(1)])) as sensor:
+        assert [frame.sequence for frame in sensor] == [0, 1]
+    with LiveSensor(lambda: Slow([STALL] * 50, live=True)) as sensor:
+        with pytest.raises(SensorTimeoutError, match="no new frame within 0.05 s"):
+            sensor.read()

@@ -14,10 +14,18 @@ from equivalence import performance, units_of
 from oni_writer import DEPTH_1_MM, DEPTH_100_UM, YUV422, OniWriter
 
 from adaptiveface.cli import main
-from adaptiveface.errors import DriverMissingError, EndOfRecording, FileFormatError, ParameterError, SensorNotFoundError
-from adaptiveface.sensors import Recording, list_sensors, open_sensor, open_source
+from adaptiveface.errors import (
+    DriverMissingError,
+    EndOfRecording,
+    FileFormatError,
+    ParameterError,
+    SensorError,
+    SensorNotFoundError,
+)
+from adaptiveface.sensors import LiveSensor, Recording, list_sensors, open_sensor, open_source, openni2
 from adaptiveface.sensors.openni2 import best_modes, connected_cameras
 from adaptiveface.sensors.openni2_library import OpenNI2Error, VideoMode
+from adaptiveface.sensors.openni2_playback import OniPlayback
 
 try:
     CONNECTED = connected_cameras()
@@ -132,13 +140,73 @@ def test_a_recording_cut_off_in_the_middle_is_refused(tmp_path):
         open_sensor(str(path))
 
 
-def test_a_recording_whose_frames_the_library_does_not_deliver(tmp_path):
+def test_a_recording_whose_frames_the_library_does_not_deliver(tmp_path, monkeypatch):
     """It needs the property xnCropping of each stream, and says nothing where it is missing."""
+    monkeypatch.setattr(openni2, "PLAYBACK_PATIENCE", 1.0)
     path = tmp_path / "take.oni"
     write(path)
     path.write_bytes(path.read_bytes().replace(b"xnCropping", b"noCropping"))
+    with LiveSensor(lambda: openni2.OpenNI2Driver(path=path), reconnect=False) as sensor:
+        with pytest.raises(FileFormatError, match="take.oni: plays no depth"):
+            sensor.read()
+
+
+def test_a_recording_that_plays_its_colour_only(tmp_path):
+    """Again and again: without an end of its own."""
+    path = tmp_path / "take.oni"
+    write(path)
+    path.write_bytes(path.read_bytes().replace(b"xnCropping", b"noCropping", 1))
     with open_sensor(str(path)) as sensor, pytest.raises(FileFormatError, match="take.oni: plays no depth"):
-        sensor.read(20)
+        sensor.read()
+
+
+def test_a_damaged_recording_that_crashes_the_library_is_an_error_that_names_it(tmp_path, capsys):
+    """A property whose name does not end, for one."""
+    path = tmp_path / "damaged.oni"
+    write(path)
+    path.write_bytes(path.read_bytes().replace(b"xnDeviceMaxDepth\0", b"xnDeviceMaxDepth\xf1"))
+    assert main(["convert", str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert f"{path}: " in error and error.count("\n") == 1 and not (tmp_path / "out").exists()
+    if sys.platform == "linux":
+        assert "the OpenNI2 library crashed while reading it, when it was opened; the file is damaged" in error
+
+
+def test_a_library_that_dies_in_the_midst_is_an_error_and_leaves_no_process(tmp_path):
+    player = OniPlayback(write(tmp_path / "take.oni"))
+    player.open()
+    child, frame = player._child, None
+    while frame is None:
+        frame = player.grab(1.0)
+    np.testing.assert_array_equal(frame.depth, DEPTH[0])
+    child.kill()
+    with pytest.raises(SensorError, match="take.oni: the OpenNI2 library crashed while reading it, after . frames"):
+        while True:
+            player.grab(1.0)
+    player.close()
+    player.close()
+    assert child.poll() is not None
+
+
+def test_the_player_ends_with_the_process_that_started_it(tmp_path):
+    player = OniPlayback(write(tmp_path / "take.oni"))
+    player.open()
+    player._child.stdin.close()  # as the system does when that process is gone
+    assert player._child.wait(30) == 1
+    player.close()
+
+
+def test_what_is_no_message_is_a_crash(tmp_path):
+    """Whatever a child that has lost its mind may write."""
+    player = OniPlayback(write(tmp_path / "take.oni"))
+    for line in (b"", b"[]", b"7", b"{}", b'{"kind": "frame"}', b"x" * 10_000, b'{"kind": "error", "error": "os"}'):
+        with subprocess.Popen(
+            [sys.executable, "-c", f"import sys; sys.stdout.buffer.write({line!r})"], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as child:  # fmt: skip
+            player._child = child
+            with pytest.raises(SensorError, match="crashed"):
+                player._message()
 
 
 def test_closing_is_quick_and_may_be_repeated(tmp_path):

@@ -232,9 +232,9 @@ def _open_path(path: Path) -> LiveSensor:
     if path.suffix.lower() in _AZURE_FILES and path.is_file():
         return _azure_file(path)
     if path.suffix.lower() == ".oni" and path.is_file():
-        from .openni2 import OpenNI2Driver
+        from .openni2_playback import OniPlayback
 
-        return LiveSensor(lambda: OpenNI2Driver(path=path), reconnect=False)
+        return LiveSensor(lambda: OniPlayback(path), reconnect=False)
     from . import open_source
 
     source = open_source(str(path))

@@ -32,6 +32,8 @@ POLL_SECONDS = 0.1
 CLOSE_SECONDS = 0.4
 #: Pause between two attempts to open a sensor again, s.
 RECONNECT_SECONDS = 0.25
+#: Longest :meth:`LiveSensor.read` waits unless told otherwise, s: for a camera, and for a file on a machine that is busy.
+LIVE_SECONDS, FILE_SECONDS = 1.0, 60.0
 #: A device's frame number that falls back by more than this is a counter that started over, not a late frame.
 RESTART_GAP = 100
 
@@ -142,12 +144,15 @@ class LiveSensor:
             self.close()
             raise error or SensorTimeoutError(f"{self.name}: did not start within {open_timeout:g} s; plug it in again")
 
-    def read(self, timeout: float = 1.0) -> LiveFrame:
+    def read(self, timeout: float | None = None) -> LiveFrame:
         """The newest frame that was not handed out yet, waiting up to ``timeout`` s for it.
 
-        Raises :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
+        By default a second for a sensor, and a minute for a recording, whose next frame surely comes. Raises
+        :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
         :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor failed with.
         """
+        if timeout is None:
+            timeout = LIVE_SECONDS if self.live else FILE_SECONDS
         deadline = time.perf_counter() + timeout
         with self._changed:
             while True:

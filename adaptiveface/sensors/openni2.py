@@ -31,7 +31,7 @@ WIDTH, HEIGHT, FPS = 640, 480, 30
 #: A picture further than this many frames from its depth is not the same moment.
 MAX_SKEW_FRAMES = 0.6
 #: Playback that gives nothing for so long will give nothing any more, s.
-PLAYBACK_PATIENCE = 3.0
+PLAYBACK_PATIENCE = 10.0
 #: A camera that gives nothing for so long is looked for, s.
 LIVE_PATIENCE = 1.0
 #: The library's driver for files plays frame by frame at this speed, each one when it is asked for.
@@ -47,7 +47,10 @@ def connected_cameras() -> list[tuple[str, str]]:
 
 
 class OpenNI2Driver:
-    """One camera, by URI or number or the first one; or the recording at ``path``, played as fast as it is read."""
+    """One camera, by URI or number or the first one; or the recording at ``path``, played as fast as it is read.
+
+    A damaged recording can crash the process: :class:`~adaptiveface.sensors.openni2_playback.OniPlayback` has one to spare.
+    """
 
     has_features = False
 
@@ -73,7 +76,7 @@ class OpenNI2Driver:
             if not self.live:
                 raise FileFormatError(f"{self.path}: not a complete OpenNI2 recording with depth ({error})") from None
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); plug it in again") from None
-        self._last_frame, self._last_index, self._read = time.perf_counter(), -1, 0
+        self._silence, self._last_index, self._read = 0.0, {}, 0
         self._waiting: dict = {}
 
     @by_the_owner
@@ -82,8 +85,10 @@ class OpenNI2Driver:
         deadline = time.perf_counter() + timeout
         while True:
             self._check_end()
-            stream = self._device.wait(max(deadline - time.perf_counter(), 0.001))
+            patience = max(deadline - time.perf_counter(), 0.001)
+            stream = self._device.wait(patience)
             if stream is None:
+                self._silence += patience  # not by the clock: this process may have slept
                 self._check_silence()
             else:
                 image, index, timestamp = self._take(stream)
@@ -110,16 +115,14 @@ class OpenNI2Driver:
             if number >= len(devices):
                 raise self._not_found(devices)
             uri = devices[number][0]
+        elif Path(uri).exists():  # which the library would open as well
+            raise ParameterError(f"openni2:{uri}: is a recording; give its path alone")
         try:
-            device = self._library.open(uri)
+            return self._library.open(uri)
         except OpenNI2Error as error:
             if uri in [known for known, _ in devices]:
                 raise SensorError(f"{self.name}: cannot be opened ({error}); is another program using it?") from None
             raise self._not_found(devices) from None
-        if device.is_file:
-            device.close()
-            raise ParameterError(f"openni2:{uri}: is a recording; give its path alone")
-        return device
 
     def _not_found(self, devices) -> SensorNotFoundError:
         found = ", ".join(uri for uri, _ in devices) or "none"
@@ -194,12 +197,13 @@ class OpenNI2Driver:
     # ---- frames ----------------------------------------------------------------------------------------------------
     def _take(self, stream):
         image, index, timestamp = stream.read()
-        self._last_frame = time.perf_counter()
-        if stream is self._depth:
-            wrapped, self._last_index = index <= self._last_index, index
-            self._read += 1
-            if not self.live and wrapped:  # it plays from the start again
-                self._end()
+        self._silence = 0.0
+        wrapped, self._last_index[stream] = index <= self._last_index.get(stream, -1), index
+        self._read += stream is self._depth
+        if not self.live and wrapped:  # it plays from the start again
+            if not self._read:
+                self._no_depth()
+            self._end()
         if self._mirrored[stream is not self._depth]:
             image = image[:, ::-1]
         return image, index, timestamp
@@ -223,14 +227,16 @@ class OpenNI2Driver:
             self._end()
 
     def _check_silence(self) -> None:
-        silent = time.perf_counter() - self._last_frame
         if self.live:
-            if silent > LIVE_PATIENCE and self._device.uri not in [uri for uri, _ in self._library.devices()]:
+            if self._silence > LIVE_PATIENCE and self._device.uri not in [uri for uri, _ in self._library.devices()]:
                 raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
-        elif silent > PLAYBACK_PATIENCE:
+        elif self._silence > PLAYBACK_PATIENCE:
             if self._read:
                 raise FileFormatError(f"{self.path}: broken after {self._read} of {self._count} depth frames")
-            raise FileFormatError(f"{self.path}: plays no depth; it is broken or lacks the properties of its streams")
+            self._no_depth()
+
+    def _no_depth(self) -> None:
+        raise FileFormatError(f"{self.path}: plays no depth; it is broken or lacks the properties of its streams")
 
     def _end(self) -> None:
         raise EndOfRecording(f"{self.path}: the end of the recording")

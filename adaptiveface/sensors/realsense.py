@@ -5,7 +5,6 @@ Colour is aligned to depth by the SDK; where depth has no measurement the aligne
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ WIDTH, HEIGHT, FPS = 640, 480, 30
 #: A picture taken longer than this before or after its depth is not the same moment, ms.
 MAX_SKEW_MS = 50.0
 #: Playback that gives nothing for so long has ended, whatever its status says, s.
-PLAYBACK_PATIENCE = 3.0
+PLAYBACK_PATIENCE = 10.0
 
 
 def realsense_module():
@@ -73,7 +72,7 @@ class RealSenseDriver:
                 raise FileFormatError(f"{self.path}: not a RealSense recording with depth ({error})") from None
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); use a USB 3 port") from None
         self._align = rs.align(rs.stream.depth)
-        self._last_frame = time.perf_counter()
+        self._waited = 0.0
 
     def _start(self, pipeline, config) -> None:
         rs = self._rs
@@ -98,9 +97,10 @@ class RealSenseDriver:
         """The next pair of depth and colour; None where one of them is missing or of another moment."""
         arrived, frames = self._pipeline.try_wait_for_frames(max(int(timeout * 1000), 1))
         if not arrived:
+            self._waited += timeout
             self._check_end()
             return None
-        self._last_frame = time.perf_counter()
+        self._waited = 0.0
         depth, colour = frames.get_depth_frame(), frames.get_color_frame()
         if not depth or (colour and _skewed(depth, colour)):
             return None
@@ -126,13 +126,12 @@ class RealSenseDriver:
             raise SensorNotFoundError(f"{self.name}: not connected; connected are {', '.join(serials)}")
 
     def _check_end(self) -> None:
-        waited = time.perf_counter() - self._last_frame
         if self.live:
             if not self._device.is_connected():
                 raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
             return
         stopped = self._device.as_playback().current_status() == self._rs.playback_status.stopped
-        if stopped or waited > PLAYBACK_PATIENCE:
+        if stopped or self._waited > PLAYBACK_PATIENCE:
             raise EndOfRecording(f"{self.path}: the end of the recording")
 
     def _camera(self, intrinsics) -> Camera:

@@ -22,6 +22,8 @@ from .recording import RecordingWriter
 WRITERS, BACKLOG = 2, 90
 #: Seconds between two renewals of the tables; a renewal that took long makes the next one wait 20 times as long.
 CHECKPOINT_SECONDS = 1.0
+#: A sensor that is silent for so long ends the recording, s.
+PATIENCE_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,8 @@ def record_sensor(
     """
     check_has_depth(sensor)
     sensor.buffer(BACKLOG)
-    first = sensor.read(timeout=5.0)
+    timeout = PATIENCE_SECONDS if sensor.live else None
+    first = sensor.read(timeout)
     depth_scale = min(max(sensor.depth_scale, 100.0), 100_000.0)
     recorder = FrameRecorder(RecordingWriter(folder, first.camera, sensor.fps, depth_scale), not sensor.live)
     start, frame, count = time.perf_counter(), first, 0
@@ -139,7 +142,7 @@ def record_sensor(
                 on_frame(frame)
             if count == frames or (seconds is not None and time.perf_counter() - start >= seconds):
                 break
-            frame = sensor.read(timeout=5.0)
+            frame = sensor.read(timeout)
     except EndOfRecording:
         pass
     finally:

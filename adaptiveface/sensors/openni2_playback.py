@@ -1,0 +1,159 @@
+"""``.oni`` recordings, played by a process of their own: a damaged file can crash the vendor's library, and only that.
+
+The child (:func:`main`) reads the file with :class:`OpenNI2Driver` and writes messages to its standard output: a line of
+JSON, for a frame followed by the bytes of depth (float32 mm) and colour. The pipe holds it back while nobody reads.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import asdict
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from .. import errors
+from ..camera import Camera
+from ..errors import AdaptiveFaceError, SensorError
+from .live import POLL_SECONDS, RawFrame
+from .openni2 import FPS, OpenNI2Driver
+
+#: A longer line is none of the child's, bytes; no camera has a longer side, px.
+LONGEST_LINE, LONGEST_SIDE = 4096, 8192
+#: The kinds of messages, and what each one holds.
+_MESSAGES = {
+    "open": {"fps", "depth_scale", "camera"}, "frame": {"colour", "sequence", "timestamp"}, "none": set(),
+    "error": {"error", "text"},
+}  # fmt: skip
+_ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind, type)}
+
+
+class OniPlayback:
+    """Plays the recording at ``path`` as :class:`OpenNI2Driver` does, frame by frame as it is read."""
+
+    live, has_features = False, False
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.name = Path(path), Path(path).stem
+        self.fps, self.depth_scale = float(FPS), 1000.0
+        self._child: subprocess.Popen | None = None
+        self._frames = 0
+
+    def open(self) -> None:
+        """Start the child and wait for what the file holds; raises the driver's errors, as this process's own."""
+        command = [sys.executable, "-m", __name__, str(self.path.absolute())]
+        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
+        self._child = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=_environment(),
+            **apart,  # Ctrl-C is this process's affair
+        )  # fmt: skip
+        opened = self._message()
+        self.fps, self.depth_scale = opened["fps"], opened["depth_scale"]
+        self.camera = Camera(**opened["camera"])
+
+    def grab(self, timeout: float) -> RawFrame | None:
+        """The next pair of depth and colour; None where the file gives none for a moment."""
+        message = self._message()
+        if message["kind"] == "none":
+            return None
+        height, width = self.camera.height, self.camera.width
+        depth = np.frombuffer(self._bytes(4 * height * width), np.float32).reshape(height, width)
+        colour = None
+        if message["colour"]:
+            colour = np.frombuffer(self._bytes(3 * height * width), np.uint8).reshape(height, width, 3)
+        self._frames += 1
+        return RawFrame(depth, self.camera, colour, message["sequence"], message["timestamp"])
+
+    def close(self) -> None:
+        """End the child."""
+        child, self._child = self._child, None
+        if child is not None:
+            child.kill()
+            child.stdin.close()
+            child.stdout.close()
+            child.wait()
+
+    def _message(self) -> dict:
+        try:
+            message = json.loads(self._child.stdout.readline(LONGEST_LINE))
+            complete = message.keys() >= _MESSAGES[message["kind"]]
+        except (ValueError, LookupError, TypeError, AttributeError):
+            complete = False
+        if not complete or (message["kind"] == "error" and message["error"] not in _ERRORS):
+            raise self._crashed()
+        if message["kind"] == "error":
+            raise _ERRORS[message["error"]](message["text"])
+        return message
+
+    def _bytes(self, count: int) -> bytes:
+        content = self._child.stdout.read(count)
+        if len(content) < count:
+            raise self._crashed()
+        return content
+
+    def _crashed(self) -> SensorError:
+        after = f"after {self._frames} frames" if self._frames else "when it was opened"
+        return SensorError(f"{self.path}: the OpenNI2 library crashed while reading it, {after}; the file is damaged")
+
+
+def _environment() -> dict[str, str]:
+    """The child imports this very package, wherever it lies."""
+    home = str(Path(__file__).resolve().parents[2])
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (home, os.environ.get("PYTHONPATH"))))}
+
+
+# ---- the child -----------------------------------------------------------------------------------------------------
+def main(path: Path) -> None:
+    """Play ``path`` to the standard output; never returns, because the library may crash once more when it is unloaded."""
+    pipe = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what the library prints is no message
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
+    try:
+        _play(OpenNI2Driver(path=path), pipe)
+    except AdaptiveFaceError as error:
+        _say(pipe, kind="error", error=type(error).__name__, text=str(error))
+    except OSError:
+        pass  # nobody reads any more
+    except Exception as error:  # whatever the library makes of a damaged file
+        text = f"{path}: cannot be read ({error or type(error).__name__})"
+        _say(pipe, kind="error", error="SensorError", text=text)
+    os._exit(0)
+
+
+def _end_with_the_parent() -> None:
+    """Even where the library hangs: the standard input ends when the parent does."""
+    sys.stdin.buffer.read()
+    os._exit(1)
+
+
+def _play(driver: OpenNI2Driver, pipe: BinaryIO) -> None:
+    driver.open()
+    if max(driver.camera.width, driver.camera.height) > LONGEST_SIDE:
+        raise SensorError(f"{driver.path}: pictures of {driver.camera.width} x {driver.camera.height} pixels")
+    _say(pipe, kind="open", fps=driver.fps, depth_scale=driver.depth_scale, camera=asdict(driver.camera))
+    while True:
+        frame = driver.grab(POLL_SECONDS)
+        if frame is None:
+            _say(pipe, kind="none")
+            continue
+        has_colour = frame.colour is not None
+        _say(pipe, False, kind="frame", colour=has_colour, sequence=frame.sequence, timestamp=frame.timestamp)
+        pipe.write(np.ascontiguousarray(frame.depth, np.float32))
+        if has_colour:
+            pipe.write(np.ascontiguousarray(frame.colour))
+        pipe.flush()
+
+
+def _say(pipe: BinaryIO, flush: bool = True, **message) -> None:
+    pipe.write(json.dumps(message).encode() + b"\n")
+    if flush:
+        pipe.flush()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
