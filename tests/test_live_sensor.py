@@ -19,7 +19,8 @@ from adaptiveface.errors import (
     SensorTimeoutError,
 )
 from adaptiveface.sensors import LiveFrame, list_sensors, open_sensor
-from adaptiveface.sensors.live import LiveSensor
+from adaptiveface.sensors import live as live_module
+from adaptiveface.sensors.live import LiveSensor, RawFrame
 from adaptiveface.sensors.playback import DEVICE_QUEUE, SyntheticDriver, forth_and_back
 from adaptiveface.synthetic.sensor import SyntheticSensor
 
