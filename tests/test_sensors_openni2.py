@@ -106,7 +106,7 @@ def test_convert_keeps_every_depth_value(tmp_path, capsys):
     for n, frame in enumerate(Recording(tmp_path / "out")):
         np.testing.assert_array_equal(frame.depth, DEPTH[n])
         assert np.abs(frame.colour.mean() - COLOUR[n].mean()) < 5 and frame.camera.fx == pytest.approx(131.25)
-    with pytest.raises(FileFormatError, match="adaptiveface convert"):
+    with pytest.raises(FileFormatError, match="adaptiveface convert .*take.oni --out .*take; then use .*take$"):
         open_source(path)
 
 

@@ -7,6 +7,7 @@ into one. A source's ``read`` raises :class:`adaptiveface.errors.FrameError` for
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -62,7 +63,9 @@ def open_source(text: str) -> FrameSource:
 
         return R3dRecording(text)
     if text.lower().endswith((".db3", ".bag", ".oni", ".mkv")) and Path(text).is_file():
-        raise FileFormatError(f"{text}: plays from start to end only; first: adaptiveface convert {text} --out DIR")
+        folder = Path(text).with_suffix("")
+        convert = shlex.join(["adaptiveface", "convert", text, "--out", str(folder)])
+        raise FileFormatError(f"{text}: plays from start to end only; first: {convert}; then use {folder}")
     if is_video(text):
         return VideoFile(text)
     if Path(text).exists():
