@@ -163,3 +163,26 @@ def test_the_commands_record_and_convert(tmp_path, capsys):
     assert main(["convert", str(tmp_path / "nothing"), "--out", str(tmp_path / "fourth")]) == 2
     assert main(["record", "kinect9", "--out", str(tmp_path / "fourth")]) == 2
     assert "possible sensors" in capsys.readouterr().err and not (tmp_path / "fourth").exists()
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_ctrl_c_ends_the_recording_of_a_sensor_and_breaks_off_that_of_a_file(tmp_path, live):
+    class Endless(ScriptedDriver):
+        count = -1
+
+        def grab(self, timeout: float) -> RawFrame:
+            time.sleep(0.01)
+            self.count += 1
+            return small_frame(self.count)
+
+    def interrupt(frame) -> None:
+        if frame.index == 4:
+            raise KeyboardInterrupt
+
+    with LiveSensor(lambda: Endless([], live=live)) as sensor:
+        if live:
+            assert record_sensor(sensor, tmp_path / "out", on_frame=interrupt).frames == 5
+        else:
+            with pytest.raises(KeyboardInterrupt):
+                record_sensor(sensor, tmp_path / "out", on_frame=interrupt)
+    assert len(Recording(tmp_path / "out")) == 5

@@ -71,6 +71,9 @@ def test_a_callback_given_while_starting_sees_every_result():
         with LiveRun(sensor, exact_actor(), watch=watch) as run:
             assert run.wait()
             wait_for(lambda: not run.session.running)
+            with pytest.raises(TrackingError, match="the recording is over"):
+                run.relearn()
+            assert run.state == TRACKING
     assert [result.index for result in seen] == list(range(8))
 
 

@@ -267,3 +267,24 @@ def test_a_recording_is_waited_for_longer_than_a_sensor(monkeypatch):
     with LiveSensor(lambda: Slow([STALL] * 50, live=True)) as sensor:
         with pytest.raises(SensorTimeoutError, match="no new frame within 0.05 s"):
             sensor.read()
+
+
+def test_interrupted_while_it_opens_it_is_closed(monkeypatch):
+    """Ctrl-C, or a cell of a notebook that is interrupted."""
+    log: list = []
+
+    class Booting(ScriptedDriver):
+        def open(self) -> None:
+            super().open()
+            time.sleep(0.2)
+
+    def interrupt(self, condition, timeout=None):
+        if threading.current_thread() is threading.main_thread():
+            raise KeyboardInterrupt
+        return wait_for(self, condition, timeout)
+
+    wait_for = threading.Condition.wait_for
+    monkeypatch.setattr(threading.Condition, "wait_for", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        LiveSensor(lambda: Booting([], live=True, log=log))
+    assert log == ["open", "close"]

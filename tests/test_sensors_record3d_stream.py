@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +16,14 @@ pytest.importorskip("lzfse")
 from equivalence import performance  # noqa: E402
 from fake_phone import K, depth_of  # noqa: E402
 
-from adaptiveface.errors import DriverMissingError, SensorDisconnectedError, SensorNotFoundError  # noqa: E402
+from adaptiveface.errors import (  # noqa: E402
+    DriverMissingError,
+    SensorDisconnectedError,
+    SensorError,
+    SensorNotFoundError,
+)
 from adaptiveface.sensors import list_sensors, open_sensor  # noqa: E402
+from adaptiveface.sensors.record3d_stream import Record3DDriver  # noqa: E402
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the address of usbmuxd can be set on Linux only")
 FRAMES = 12
@@ -91,6 +98,26 @@ def test_the_stream_tracks_to_the_same_result(plug_in, tmp_path):
     result = p.compare(got, 10_000, numbers)
     print(f"\nRecord3D by USB: {result}")
     assert result.worst < 0.2
+
+
+def test_a_frame_that_cannot_be_used_is_an_error_and_not_the_end_of_the_process():
+    """The library calls from a thread of its own, where nothing may be raised."""
+
+    class Stream:
+        def get_intrinsic_mat(self):
+            return SimpleNamespace(fx=0.0, fy=0.0, tx=0.0, ty=0.0)
+
+        def get_depth_frame(self):
+            return np.ones((4, 3), np.float32)
+
+        def get_rgb_frame(self):
+            return np.zeros((4, 3, 3), np.uint8)
+
+    driver = Record3DDriver()
+    driver._stream = Stream()
+    driver._on_frame()
+    with pytest.raises(SensorError, match="Record3D: sends frames that cannot be used .*fx, fy"):
+        driver.grab(0.0)
 
 
 def test_another_phone_is_not_found(phone):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from os import PathLike
 
 from ..actor import Actor
-from ..errors import AdaptiveFaceError
+from ..errors import AdaptiveFaceError, TrackingError
 from ..parameters import Parameters
 from ..sensors.catalogue import open_sensor
 from ..sensors.live import LiveFrame, LiveSensor
@@ -112,9 +112,15 @@ class LiveRun:
             scan.finish()
 
     def relearn(self) -> None:
-        """Scan the neutral face again, then go on tracking with the new head. Does nothing where that is going on."""
-        if self.state != TRACKING:
+        """Scan the neutral face again, then go on tracking with the new head. Does nothing where that is going on.
+
+        Raises :class:`TrackingError` at the end of a recording, and leaves everything as it is.
+        """
+        session = self.session
+        if self.state != TRACKING or session is None:
             return
+        if session.ended:
+            raise TrackingError(f"{self.name}: the recording is over; start it again to scan the neutral anew")
         self._trouble, self._scan = "", None
         self._stop_session()
         self.state = SCANNING

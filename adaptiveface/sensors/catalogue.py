@@ -159,8 +159,6 @@ def _phones() -> list[SensorInfo]:
     return _connected("record3d", description, lambda: [(phone, description) for phone in connected_phones()])
 
 
-
-
 def _openni2_cameras() -> list[SensorInfo]:
     from .openni2 import connected_cameras
 

@@ -137,9 +137,13 @@ class LiveSensor:
         self._last: int | None = None
         self._thread = threading.Thread(target=self._run, name=f"sensor {self.name}", daemon=True)
         self._thread.start()
-        with self._changed:
-            self._changed.wait_for(lambda: self._opened or self._error, open_timeout)
-            opened, error = self._opened, self._error
+        try:
+            with self._changed:
+                self._changed.wait_for(lambda: self._opened or self._error, open_timeout)
+                opened, error = self._opened, self._error
+        except BaseException:  # Ctrl-C, or an interrupted cell: nobody else could close it
+            self.close()
+            raise
         if not opened:
             self.close()
             raise error or SensorTimeoutError(f"{self.name}: did not start within {open_timeout:g} s; plug it in again")

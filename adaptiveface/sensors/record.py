@@ -124,7 +124,8 @@ def record_sensor(
 ) -> RecordingSummary:
     """Record ``sensor`` into the new ``folder`` until ``seconds`` or ``frames`` are over, or its recording ends.
 
-    ``on_frame(frame)`` sees every frame. Ctrl-C leaves a complete recording behind. Raises :class:`RecordingError` on a
+    ``on_frame(frame)`` sees every frame. Ctrl-C ends the recording of a live sensor, and breaks off that of a file, whose
+    first part stays. Raises :class:`RecordingError` on a
     full disk, the sensor's :class:`SensorError`, :class:`FileFormatError` for a folder that holds a recording already;
     whatever was recorded until then stays.
     """
@@ -145,6 +146,9 @@ def record_sensor(
             frame = sensor.read(timeout)
     except EndOfRecording:
         pass
+    except KeyboardInterrupt:
+        if not sensor.live:  # half a conversion is none
+            raise
     finally:
         recorder.close()
     lost = sensor.dropped - first.dropped

@@ -48,6 +48,7 @@ class Record3DDriver:
         self.identifier, self.name = identifier, f"Record3D {identifier}".strip()
         self._arrived = threading.Condition()
         self._newest: RawFrame | None = None
+        self._failure: Exception | None = None
         self._stopped, self._count, self._stream = False, 0, None
 
     def open(self) -> None:
@@ -68,6 +69,8 @@ class Record3DDriver:
         with self._arrived:
             self._arrived.wait_for(lambda: self._newest is not None or self._stopped, timeout)
             frame, self._newest = self._newest, None
+            if self._failure is not None:
+                raise SensorError(f"{self.name}: sends frames that cannot be used ({self._failure})")
             if frame is None and self._stopped:
                 raise SensorDisconnectedError(f"{self.name}: the stream stopped; press record in the app again")
             return frame
@@ -85,12 +88,16 @@ class Record3DDriver:
         stream = self._stream
         if stream is None:
             return
-        k = stream.get_intrinsic_mat()
-        depth = np.array(stream.get_depth_frame(), np.float32) * np.float32(1000.0)
-        picture = np.array(stream.get_rgb_frame(), np.uint8)
-        frame = aligned_frame(depth, picture, (k.fx, k.fy, k.tx, k.ty), self._count)
+        frame = failure = None
+        try:
+            k = stream.get_intrinsic_mat()
+            depth = np.array(stream.get_depth_frame(), np.float32) * np.float32(1000.0)
+            picture = np.array(stream.get_rgb_frame(), np.uint8)
+            frame = aligned_frame(depth, picture, (k.fx, k.fy, k.tx, k.ty), self._count)
+        except Exception as error:  # raised here it would end the process: the caller is the library's own thread
+            failure = error
         with self._arrived:
-            self._newest, self._count = frame, self._count + 1
+            self._newest, self._failure, self._count = frame, failure, self._count + 1
             self._arrived.notify_all()
 
     def _on_stopped(self) -> None:
