@@ -27,7 +27,7 @@ _HOME = {
     "Features2D": "frame",
     "Parameters": "parameters",
     "Recording": "sensors.recording",
-    "Result": "export.result",
+    "Result": "result",
     "RgbdFrame": "frame",
     "SyntheticSensor": "synthetic.sensor",
     "TrackedFrame": "tracking.types",

@@ -17,13 +17,13 @@ from tqdm import tqdm
 from .actor import Actor
 from .blas import one_blas_thread
 from .errors import FrameError, TrackingError
-from .export.result import Result, ResultBuilder
 from .face_model import FaceModel
 from .frame import RgbdFrame
 from .landmarks import FeatureDetector
 from .neutral.capture import capture_actor
 from .neutral.colour import capture_colour_actor
 from .parameters import Parameters
+from .result import Result, ResultBuilder
 from .sensors import FrameSource
 from .tracking.colour_tracker import make_tracker
 from .tracking.types import TrackedFrame

@@ -6,9 +6,9 @@ import numpy as np
 from scenes import exact_actor
 
 from adaptiveface.actor import Actor
-from adaptiveface.export.result import Result
 from adaptiveface.mesh import transform_points
 from adaptiveface.parameters import Parameters
+from adaptiveface.result import Result
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.synthetic.script import HeadMotion, performance
 from adaptiveface.tracking.types import STAGE_NAMES

@@ -15,9 +15,9 @@ from test_cli import fails, run
 
 from adaptiveface.actor import Actor
 from adaptiveface.errors import FileFormatError, TrackingError
-from adaptiveface.export.result import Result
 from adaptiveface.frame import RgbdFrame
 from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, RecordingWriter
 
 

@@ -16,9 +16,9 @@ from scenes import exact_actor
 from adaptiveface import __version__, pipeline
 from adaptiveface.actor import Actor
 from adaptiveface.cli import main
-from adaptiveface.export.result import Result
 from adaptiveface.frame import FEATURE_IDS
 from adaptiveface.parameters import Parameters
+from adaptiveface.result import Result
 from adaptiveface.sensors import Recording
 
 QUICK = ["fit.iterations=8", "shrink_wrap.iterations=3", "fusion.passes=1", "fusion.voxel=4"]

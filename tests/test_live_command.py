@@ -18,8 +18,8 @@ from adaptiveface import lab
 from adaptiveface.actor import Actor
 from adaptiveface.cli import main
 from adaptiveface.errors import RecordingError, SensorDisconnectedError
-from adaptiveface.export.result import Result
 from adaptiveface.live import recorder as recorder_module
+from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, catalogue
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.synthetic.sensor import SyntheticSensor

@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from adaptiveface.actor import Actor
 from adaptiveface.cli import main
-from adaptiveface.export.result import Result
 from adaptiveface.frame import FEATURE_IDS
 from adaptiveface.mesh import rotation_vector_matrix, surface_points, transform_points
+from adaptiveface.result import Result
 from adaptiveface.sensors import Recording
 from adaptiveface.tracking.tracker import FaceTracker
 

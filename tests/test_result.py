@@ -8,9 +8,9 @@ from recordings import mutated
 
 from adaptiveface.actor import Actor
 from adaptiveface.errors import FileFormatError
-from adaptiveface.export.result import Result, ResultBuilder
 from adaptiveface.frame import FEATURE_IDS
 from adaptiveface.parameters import Parameters
+from adaptiveface.result import Result, ResultBuilder
 from adaptiveface.tracking.types import STAGE_NAMES, SampleState, TrackedFrame
 
 N, A = 30, 5

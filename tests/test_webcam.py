@@ -24,7 +24,6 @@ from adaptiveface.errors import (
     SensorNotFoundError,
 )
 from adaptiveface.evaluation import ErrorCollector
-from adaptiveface.export.result import COLOUR_ONLY, Result
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.frame import Features2D
 from adaptiveface.live.feed import FeatureFeed
@@ -36,6 +35,7 @@ from adaptiveface.parameters import Parameters
 from adaptiveface.pipeline import capture_from, track_source
 from adaptiveface.report import RunRecord
 from adaptiveface.report.sections import heading
+from adaptiveface.result import COLOUR_ONLY, Result
 from adaptiveface.sensors import list_sensors, open_sensor, open_source
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.sensors.record import record_sensor

@@ -9,9 +9,9 @@ import numpy as np
 from ..actor import Actor
 from ..errors import FileFormatError
 from ..mesh import transform_points
+from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.retarget import Performance, frame_rate, head_frames, increasing
-from .result import Result
 
 #: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
 CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])

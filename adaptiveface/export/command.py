@@ -10,6 +10,7 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, ParameterError
+from ..result import Result
 from ..retargeting import COEFFICIENTS
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
@@ -18,7 +19,6 @@ from ..retargeting.retarget import coverage, frame_rate, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
 from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
-from .result import Result
 
 _USD_SUFFIXES = (".usd", ".usda", ".usdc")
 

@@ -12,10 +12,10 @@ from ..camera import Camera
 from ..errors import AdaptiveFaceError, FrameError
 from ..mesh import rotation_vector_matrix
 from ..rendering import picture
+from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.portrait import portrait
 from .animation import CAMERA_TO_VIEW, AnimatedMesh
-from .result import Result
 
 PANEL = 480
 #: Codecs of OpenCV's writer in the order of preference: VP9 plays in browsers, MPEG-4 everywhere else.

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, ParameterError, TrackingError
-from ..export.result import ResultBuilder
 from ..parameters import Parameters
+from ..result import ResultBuilder
 from ..sensors.catalogue import list_sensors, open_sensor
 from ..sensors.live import LiveSensor
 from .guided import STEPS

@@ -9,8 +9,8 @@ import numpy as np
 
 from .. import __version__
 from ..evaluation import FIRST, PERFORMANCE_NAMES, REPEAT
-from ..export.result import COLOUR_ONLY
 from ..parameters import Parameters, describe
+from ..result import COLOUR_ONLY
 from . import charts, page, pictures
 from .context import Context
 from .scenes import legend

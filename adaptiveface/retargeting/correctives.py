@@ -13,7 +13,7 @@ import numpy as np
 from ..actor import Actor
 from ..blendshapes import deformation_transfer
 from ..errors import ParameterError
-from ..export.result import Result
+from ..result import Result
 from .character import Character
 from .retarget import driving_coefficients, head_frames
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import ParameterError
-from ..export.result import Result
 from ..mesh import transform_points
+from ..result import Result
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .character import Character

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..actor import Actor
-from ..errors import FileFormatError
-from ..npz import Field, check_indices, load_checked
-from ..parameters import Parameters
-from ..tracking.types import STAGE_NAMES, SampleState, TrackedFrame
+from .actor import Actor
+from .errors import FileFormatError
+from .npz import Field, check_indices, load_checked
+from .parameters import Parameters
+from .tracking.types import STAGE_NAMES, SampleState, TrackedFrame
 
 _FIELDS = {
     "vertices": Field(("F", "N", 3)),

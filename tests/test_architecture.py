@@ -1,0 +1,80 @@
+"""The packages stand on floors and import from floors below only; only the views know pyvista and ipywidgets."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
+#: From the ground up, as docs/architecture.md has them.
+FLOORS = (
+    ("errors", "blas", "npz", "stages", "parameters", "camera", "frame", "mesh", "rendering", "lab"),
+    ("face_model", "actor", "blendshapes"),
+    ("synthetic", "sensors", "landmarks"),
+    ("tracking",),
+    ("neutral", "importers", "exercises"),
+    ("result",),
+    ("pipeline",),
+    ("retargeting",),
+    ("evaluation", "export", "live"),
+    ("views", "bench", "report"),
+    ("cli",),
+    ("__main__",),
+)
+FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
+#: What tracking may take: arrays go in and come out.
+TRACKING = {"actor", "camera", "frame", "mesh", "parameters", "errors", "blas"}
+
+
+def place(path: Path) -> str:
+    """The package or top-level module that a file belongs to."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def files() -> list[Path]:
+    return sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Dotted names a file imports, also inside functions, relative ones made absolute."""
+    home = ("adaptiveface", *path.relative_to(PACKAGE).parent.parts)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = [*home[: len(home) - node.level + 1]] if node.level else []
+            base += node.module.split(".") if node.module else []
+            yield from (".".join([*base, alias.name]) for alias in node.names)
+
+
+def places_of(path: Path) -> set[str]:
+    """The other packages and top-level modules of ours that a file imports from."""
+    names = (name.split(".") for name in imported(path))
+    found = {parts[1] for parts in names if parts[0] == "adaptiveface" and len(parts) > 1 and parts[1] in FLOOR}
+    return found - {place(path)}
+
+
+def test_every_place_has_a_floor():
+    assert {place(path) for path in files()} == set(FLOOR)
+
+
+@pytest.mark.parametrize("name", sorted(FLOOR))
+def test_imports_point_downwards(name):
+    for path in (path for path in files() if place(path) == name):
+        higher = {other for other in places_of(path) if FLOOR[other] > FLOOR[name]}
+        assert not higher, f"{path.relative_to(PACKAGE)} imports from above: {sorted(higher)}"
+
+
+def test_tracking_knows_no_sensor_file_or_view():
+    known = set().union(*(places_of(path) for path in files() if place(path) == "tracking"))
+    assert known <= TRACKING
+
+
+def test_only_the_views_know_pyvista_and_widgets():
+    for path in files():
+        if place(path) != "views":
+            outside = {name.split(".")[0] for name in imported(path)} & {"pyvista", "vtk", "ipywidgets", "anywidget"}
+            assert not outside, f"{path.relative_to(PACKAGE)} imports {sorted(outside)}"
