@@ -111,7 +111,7 @@ class BlendshapeParameters(Stage):
     sparsity: float = parameter(
         2.5,
         "what an expression must explain of v4 to take part in the re-solve",
-        unit="mm over the face",
+        unit="mm, summed",
         section="6",
         low=0,
         high=1e3,

@@ -17,6 +17,8 @@ from .pictures import encode, image_widget
 from .turntable import LIMITS, Turntable
 
 SKIN = (205.0, 170.0, 150.0)
+#: Room for two of the camera's sliders, pixels: under one head they take two rows, so that a panel fits beside it.
+TWO_SLIDERS = 390
 #: How far behind the face the views turn, mm.
 PIVOT_DEPTH = 50.0
 #: A colour map that people with any colour vision can order, and that survives printing in grey.
@@ -180,7 +182,7 @@ class FaceView:
         self.turn, self.tilt, self.zoom = (
             widgets.IntSlider(
                 start, min=round(scale * low), max=round(scale * high), description=name, readout_format="d",
-                style={"description_width": width}, layout=widgets.Layout(width="200px"),
+                style={"description_width": width}, layout=widgets.Layout(width="188px"),
             )
             for name, start, scale, width, (low, high) in zip(
                 ("turn, °", "tilt, °", "zoom, %"), (0, 0, 100), SCALES, ("44px", "40px", "52px"), LIMITS, strict=True
@@ -190,10 +192,8 @@ class FaceView:
         for slider in (self.turn, self.tilt, self.zoom):
             slider.observe(lambda change: self._following or move(*self._sliders()), "value")
         self._image.observe(lambda change: self._following or wish(*change.new), "camera")
-        parts = [
-            self._image,
-            widgets.HBox([self.turn, self.tilt, self.zoom], layout=widgets.Layout(flex_flow="row wrap")),
-        ]
+        row = widgets.Layout(flex_flow="row wrap", max_width=f"{max(int(self._image.width), TWO_SLIDERS)}px")
+        parts = [self._image, widgets.HBox([self.turn, self.tilt, self.zoom], layout=row)]
         if label:
             parts.insert(1, colour_bar(self.limits, label, self._colourmap))
         self.widget = widgets.VBox(parts)

@@ -19,8 +19,10 @@ from ..tracking.depth_surface import crop_window, depth_surface, find_correspond
 from ..tracking.feature_rows import feature_rows
 from ..tracking.kalman import CoefficientFilter
 from ..tracking.types import TrackedFrame
-from .charts import COLOURS
+from .charts import COLOURS, LiveChart
 from .pictures import encode, image_widget
+from .replay import Replay
+from .session import Session
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
 
 def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], title: str = "") -> widgets.Image:
     """Bars per expression and solution, with the allowed range [0, 1] in grey."""
-    figure = Figure(figsize=(10.5, 3.6), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(9.2, 3.6), dpi=100, facecolor="white", layout="constrained")
     canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
     axis.axhspan(0, 1, color="0.92", zorder=0)
     width = 0.8 / len(solutions)
@@ -93,9 +95,38 @@ def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], tit
     axis.set_title(title, fontsize=9)
     axis.legend(fontsize=8)
     canvas.draw()
-    image = image_widget(1050, 360, "png")
+    image = image_widget(920, 360, "png")
     image.value = encode(np.asarray(canvas.buffer_rgba())[..., :3], "png")
     return image
+
+
+def coefficient_chart(session: Session, chosen: Sequence[int]):
+    """The chart of some expressions' fitted coefficients over the performance, and its source for a workbench."""
+    names = [session.actor.expression_names[k] for k in chosen]
+    chart = LiveChart(
+        names, (0, len(session.frames) - 1), (-0.05, 1.05), "frame", "coefficient", "the liveliest coefficients"
+    )
+
+    def lines(replay: Replay) -> dict[str, np.ndarray]:
+        out = {name: np.full(len(replay.frames), np.nan) for name in names}
+        for index, result in enumerate(replay.results):
+            if result is not None and result.tracked:
+                for name, k in zip(names, chosen, strict=True):
+                    if k < len(result.coefficients_initial):  # fewer where the parameter A is lowered
+                        out[name][index] = result.coefficients_initial[k]
+        return out
+
+    return chart, lines
+
+
+def fitted_coefficients(results: Sequence[TrackedFrame]) -> np.ndarray:
+    """(F, A) the coefficients of section 4.2 of every tracked frame."""
+    return np.array([result.coefficients_initial for result in results if result.tracked])
+
+
+def liveliest(coefficients: np.ndarray, count: int = 4) -> np.ndarray:
+    """(count,) numbers of the expressions whose coefficients (F, A) range widest, the widest first."""
+    return np.argsort(-np.ptp(coefficients, axis=0))[:count]
 
 
 def filtered(measured: np.ndarray, parameters: KalmanParameters) -> np.ndarray:

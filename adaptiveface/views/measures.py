@@ -38,8 +38,10 @@ class Measures:
             self._alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
 
     def error(self, result: TrackedFrame, frame: RgbdFrame, stage: str = "v4") -> np.ndarray:
-        """(N,) error of a stage's mesh, mm; NaN outside the frontal region and where unknown."""
+        """(N,) error of a stage's mesh, mm; NaN outside the frontal region, where unknown, and where the head is lost."""
         actor = self.session.actor
+        if not result.tracked:
+            return np.full(len(actor.neutral), np.nan)
         vertices = result.in_camera(getattr(result, stage))
         if self.has_truth:
             truth = self.session.truth[frame.index]

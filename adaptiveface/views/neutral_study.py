@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import ipywidgets as widgets
 import numpy as np
 
 from ..actor import Actor
+from ..evaluation import GroundTruth, neutral_alignment, surface_distance
 from ..face_model import FaceModel, embedded_face_model
-from ..mesh import vertex_normals
+from ..mesh import transform_points, vertex_normals
 from ..neutral.fit import IdentityFit, ScanSearch
 from ..neutral.fuse import FusedScan, fuse_frames
 from ..neutral.shrink_wrap import shrink_wrap
 from ..parameters import FusionParameters, ShrinkWrapParameters
 from ..pipeline import one_blas_thread
+from ..tracking.bounded import bounded_least_squares
 from .face_view import FaceView
 from .kernel import on_main_thread, shown_errors
 from .session import Session
@@ -29,7 +32,7 @@ class _Study:
     view: FaceView
 
     def _assemble(self, controls: Sequence[widgets.Widget]) -> None:
-        self.message = widgets.HTML()
+        self.message = widgets.HTML(layout=widgets.Layout(max_width=_WIDE.width))  # a long note breaks into lines
         self._draw_on_main = on_main_thread(self._redraw)
         for control in controls:
             control.observe(lambda change: self._draw_on_main(), "value")
@@ -67,6 +70,7 @@ class ScanStudy(_Study):
         self.view = FaceView(
             self.model.mean, self.model.triangles, ("merged scan",), limits=(0, most),
             label="depth frames that saw the point", centre=self.model.mean[self.model.frontal].mean(axis=0),
+            colourmap="summer",  # even its low end is bright enough to show the relief of a single frame
         )  # fmt: skip
         self.view.hide_head(0)
         self.frames = widgets.IntSlider(
@@ -75,7 +79,7 @@ class ScanStudy(_Study):
         self.voxel = widgets.FloatSlider(
             voxel,
             min=1.5,
-            max=6,
+            max=5,
             step=0.5,
             description="voxel, mm",
             style=_STYLE,
@@ -88,8 +92,9 @@ class ScanStudy(_Study):
         parameters = FusionParameters(voxel=self.voxel.value, passes=1, min_views=0.0)
         self.scan = fuse_frames(self.neutral[: self.frames.value], self.model, parameters)
         self.view.show_points(0, self.scan.points, self.scan.weights, self.scan.normals, 20_000, size=5)
-        self.note = (f"{len(self.scan.frames)} frames registered, {len(self.scan.points)} points, median distance of a "
-                     f"frame to the merged surface {np.median(self.scan.residuals):.2f} mm")  # fmt: skip
+        count = len(self.scan.frames)
+        self.note = (f"{count} frame{'s' * (count > 1)} merged, {len(self.scan.points)} points; median distance of a "
+                     f"single frame to the merged surface: {np.median(self.scan.residuals):.2f} mm")  # fmt: skip
 
 
 class IdentityStudy(_Study):
@@ -98,9 +103,9 @@ class IdentityStudy(_Study):
     def __init__(self, model: FaceModel | None = None, modes: int = 8, start: np.ndarray | None = None) -> None:
         self.model = model or embedded_face_model()
         self.view = FaceView(
-            self.model.mean, self.model.triangles, ("identity",), limits=(0, 8),
+            self.model.mean, self.model.triangles, ("identity",), limits=(0, 25),
             label="distance from the mean head, mm",
-            centre=self.model.mean[self.model.frontal].mean(axis=0),
+            centre=self.model.mean[self.model.frontal].mean(axis=0), radius=165.0,
         )  # fmt: skip
         values = np.zeros(modes) if start is None else np.clip(start[:modes], -3, 3)
         limits = dict(min=-3, max=3, step=0.1, style=_STYLE, layout=_WIDE)
@@ -116,8 +121,11 @@ class IdentityStudy(_Study):
 class ShrinkWrapStudy(_Study):
     """The fitted head before and after the shrink-wrap, coloured by the distance to the scan, for any stiffness."""
 
-    def __init__(self, scan: FusedScan, fit: IdentityFit, stiffness: float = 0.3) -> None:
+    def __init__(
+        self, scan: FusedScan, fit: IdentityFit, truth: GroundTruth | None = None, stiffness: float = 0.3
+    ) -> None:
         """``scan`` (in the head frame) and ``fit`` of a :class:`~adaptiveface.neutral.capture.NeutralCapture`."""
+        self.truth = truth
         self.model, self.scan, self.fit, self._search = embedded_face_model(), scan, fit, ScanSearch(scan)
         self.view = FaceView(
             fit.vertices, self.model.triangles, ("fitted modes", "after the shrink-wrap"), limits=(0, 2),
@@ -142,8 +150,9 @@ class ShrinkWrapStudy(_Study):
         after = self.distance(self.wrap.vertices)
         self.view.show(0, self.fit.vertices, self.distance(self.fit.vertices))
         self.view.show(1, self.wrap.vertices, after)
-        before = self.fit.residual
-        self.note = f"median distance to the scan: {before:.2f} mm before, {np.nanmedian(after):.2f} mm after"
+        self.note = f"after the shrink-wrap: median distance to the scan {np.nanmedian(after):.2f} mm"
+        if self.truth is not None:
+            self.note += f", to the true face {np.median(distance_to_truth(self.wrap.vertices, self.truth)):.3f} mm"
 
     def distance(self, vertices: np.ndarray) -> np.ndarray:
         """(V,) point-to-plane distance to the scan, mm; NaN where the scan has nothing."""
@@ -154,17 +163,52 @@ class ShrinkWrapStudy(_Study):
         return out
 
 
+def distance_to_truth(head: np.ndarray, truth: GroundTruth) -> np.ndarray:
+    """(n,) distance of a neutral head (V, 3) from the true face, over the frontal vertices that take depth, mm."""
+    model = embedded_face_model()
+    scored = model.frontal & model.depth_valid
+    aligned = transform_points(neutral_alignment(head, truth.neutral, scored), head)
+    return surface_distance(aligned, truth.neutral, model.triangles, scored)
+
+
+@dataclass(frozen=True)
+class ClosestExpression:
+    """``index`` of the frame, its true ``motion`` (V, 3) from the neutral face, mm, the ``coefficients`` (A,) in [0, 1]
+    that come closest to it, and what they leave: ``remaining`` (V,) mm, NaN outside the frontal region."""
+
+    index: int
+    motion: np.ndarray
+    coefficients: np.ndarray
+    remaining: np.ndarray
+
+
+def closest_expression(session: Session) -> ClosestExpression:
+    """The frame of a session with known truth in which the face moves most, and the blendshapes nearest to it."""
+    actor, frontal = session.actor, session.actor.frontal
+    truths = [session.truth[frame.index] for frame in session.frames]
+    motions = [transform_points(np.linalg.inv(t.rigid), t.vertices) - session.truth.neutral for t in truths]
+    index = int(np.argmax([np.linalg.norm(m[frontal], axis=1).mean() for m in motions]))
+    basis, motion = actor.blendshapes[:, frontal].reshape(len(actor.blendshapes), -1), motions[index]
+    count = len(basis)
+    x = bounded_least_squares(
+        basis @ basis.T + 1e-6 * np.eye(count), basis @ motion[frontal].ravel(), np.zeros(count), np.ones(count)
+    )
+    remaining = np.full(len(frontal), np.nan)
+    remaining[frontal] = np.linalg.norm((motion[frontal].ravel() - x @ basis).reshape(-1, 3), axis=1)
+    return ClosestExpression(index, motion, x, remaining)
+
+
 class ExpressionStudy(_Study):
     """The generic expressions as sliders, on the model's average head and on the actor's, side by side."""
 
     def __init__(self, actor: Actor, model: FaceModel | None = None, start: dict[str, float] | None = None) -> None:
         self.actor, self.model = actor, model or embedded_face_model()
         self.view = FaceView.of(
-            actor, ("average head", "personal head"), limits=(0, 12), label="displacement, mm", pane=(330, 380)
+            actor, ("average head", "personal head"), limits=(0, 20), label="displacement, mm", pane=(290, 380)
         )
         self._offset = actor.neutral[actor.frontal].mean(axis=0) - self.model.mean[self.model.frontal].mean(axis=0)
         limits = dict(
-            min=0, max=1, step=0.02, style={"description_width": "150px"}, layout=widgets.Layout(width="400px")
+            min=0, max=1, step=0.02, style={"description_width": "120px"}, layout=widgets.Layout(width="340px")
         )
         self.sliders = {name: widgets.FloatSlider((start or {}).get(name, 0.0), description=name, **limits)
                         for name in actor.expression_names}  # fmt: skip

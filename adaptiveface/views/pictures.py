@@ -60,18 +60,32 @@ def annotate(frame: RgbdFrame, points: np.ndarray | None = None, features: np.nd
 
 
 class CameraView:
-    """The sensor's picture, cropped to the face, with features and model over it; display ``widget``."""
+    """The sensor's picture, cropped to the face, with features and model over it; display ``widget``.
 
-    def __init__(self, size: tuple[int, int] = (360, 400), title: str = "what the sensor sees") -> None:
+    ``depth``: the depth map stands beside it.
+    """
+
+    def __init__(
+        self, size: tuple[int, int] = (360, 400), title: str = "what the sensor sees", depth: bool = False
+    ) -> None:
         self.size = size
         self._image = image_widget(*size, name="adaptiveface-camera")
         self.widget = widgets.VBox([widgets.HTML(f"<b>{title}</b>"), self._image])
+        self._depth = image_widget(*size) if depth else None
+        if depth:
+            beside = widgets.VBox([widgets.HTML("<b>depth: near is bright, black was not measured</b>"), self._depth])
+            self.widget = widgets.HBox([self.widget, beside], layout=widgets.Layout(flex_flow="row wrap"))
         self._centre: np.ndarray | None = None
 
     def show(self, frame: RgbdFrame, points: np.ndarray | None = None, features: np.ndarray | None = None) -> None:
         """Draw a frame; arguments as for :func:`annotate`."""
         image = annotate(frame, points, features)
-        self._image.value = encode(cv2.resize(self._crop(image, frame), self.size, interpolation=cv2.INTER_LINEAR))
+        self._image.value = self._encoded(image, frame)
+        if self._depth is not None:
+            self._depth.value = self._encoded(depth_as_colour(frame.depth), frame)
+
+    def _encoded(self, image: np.ndarray, frame: RgbdFrame) -> bytes:
+        return encode(cv2.resize(self._crop(image, frame), self.size, interpolation=cv2.INTER_LINEAR))
 
     def _crop(self, image: np.ndarray, frame: RgbdFrame) -> np.ndarray:
         """A window of the view's proportions around the face, which follows large movements only."""

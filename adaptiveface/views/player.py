@@ -35,7 +35,7 @@ class Player:
         self._draw_on_main = on_main_thread(self._draw)
         self.slider.observe(lambda change: self._playing or self._draw_on_main(), "value")
         toggle = on_main_thread(lambda: self.play() if self.button.value else self.pause())
-        self.button.observe(lambda change: toggle(), "value")
+        self.button.observe(lambda change: (self._label(), toggle()), "value")
         self.widget = widgets.HBox(
             [self.button, self.slider, self.loop, self.speed, self.status], layout=widgets.Layout(flex_flow="row wrap")
         )
@@ -61,6 +61,10 @@ class Player:
         self._task.stop()
 
     close = pause
+
+    def _label(self) -> None:
+        """The button says what it will do."""
+        self.button.description = self.button.icon = "pause" if self.button.value else "play"
 
     def _draw(self) -> None:
         with shown_errors(lambda text: setattr(self.status, "value", text)):

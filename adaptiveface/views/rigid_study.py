@@ -8,15 +8,17 @@ import ipywidgets as widgets
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..evaluation import neutral_alignment, pose_error
 from ..frame import RgbdFrame
 from ..mesh import transform_points, vertex_normals
-from ..parameters import DepthParameters
+from ..parameters import DepthParameters, Parameters
 from ..tracking.depth_surface import crop_window, depth_surface, find_correspondences
 from ..tracking.rigid import apply_rigid_update, point_to_plane_step
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
 from .face_view import FaceView
 from .neutral_study import _STYLE, _WIDE, _Study
+from .replay import Replay
 from .session import Session
 
 
@@ -97,7 +99,7 @@ class IcpStudy(_Study):
             8, min=-40, max=40, step=1, description="turned by, degrees", style=_STYLE, layout=_WIDE
         )
         self.chart = LiveChart(
-            ("mean residual", "stop rule, 3 mm", "true error"), (0, 12), (0.05, 100), "iteration", "mm, logarithmic",
+            ("mean residual", "stop rule, 3 mm", "error of the pose"), (0, 12), (0.05, 100), "iteration", "mm, logarithmic",
             "ICP, step by step", log=True,
         )  # fmt: skip
         self._assemble([self.iteration, self.prune, self.shift, self.turn])
@@ -115,9 +117,9 @@ class IcpStudy(_Study):
         errors = [np.linalg.norm(transform_points(pose, self._shape) - goal, axis=1).mean() for pose in self.run.poses]
         rule = (np.array([0, 12]), np.array([3.0, 3.0]))
         self.chart.update(k, **{"mean residual": self.run.residuals, "stop rule, 3 mm": rule,
-                                "true error": np.array(errors)})  # fmt: skip
-        self.note = (f"after {k} steps: mean residual {self.run.residuals[k]:.2f} mm over {self.run.matches[k]} "
-                     f"correspondences; vertices {errors[k]:.2f} mm from the tracker's final pose")  # fmt: skip
+                                "error of the pose": np.array(errors)})  # fmt: skip
+        self.note = (f"after {k} step{'s' * (k != 1)}: mean residual {self.run.residuals[k]:.2f} mm over "
+                     f"{self.run.matches[k]} partners; error of the pose {errors[k]:.2f} mm")  # fmt: skip
 
     def _residuals(self, points: np.ndarray) -> np.ndarray:
         """(p,) distance of depth points from the plane of the nearest vertex; NaN beyond the pruning distance."""
@@ -132,3 +134,18 @@ def rotation_angle(a: np.ndarray, b: np.ndarray) -> float:
 
 
 __all__ = ["IcpRun", "IcpStudy", "depth_points", "displaced", "rotation_angle", "run_icp"]
+
+
+def pose_errors(session: Session, **changes) -> np.ndarray:
+    """(F, 2) error of the head pose of every tracked frame, mm and degrees, with parameters ``stage__name=value``."""
+    truth, actor = session.truth, session.actor
+    replay = Replay(session.frames, actor, Parameters().set(**changes))
+    alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
+    centre = truth.neutral[actor.frontal].mean(axis=0)
+    return np.array(
+        [
+            pose_error(result.rigid, truth[frame.index].rigid, alignment, centre)
+            for result, frame in zip(replay.run(), session.frames, strict=True)
+            if result.tracked
+        ]
+    )
