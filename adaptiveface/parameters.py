@@ -110,8 +110,8 @@ class BlendshapeParameters(Stage):
     )
     sparsity: float = parameter(
         2.5,
-        "what an expression must explain of v4 to take part in the re-solve",
-        unit="mm, summed",
+        "what an expression must explain of v4, summed over the face, to take part in the re-solve",
+        unit="mm",
         section="6",
         low=0,
         high=1e3,

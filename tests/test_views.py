@@ -330,9 +330,11 @@ def test_player_plays_loops_pauses_and_follows_the_hand():
         shown = []
         player = views.Player(10, shown.append, fps=200.0)
         player.play()
+        assert player.button.description == "pause"
         await asyncio.sleep(0.5)
         assert len(shown) > 20 and shown.count(shown[0]) >= 2, "it went round"
         player.pause()
+        assert player.button.description == "play"
         await asyncio.sleep(0.02)
         count = len(shown)
         player.go_to(4 if player.index != 4 else 5)

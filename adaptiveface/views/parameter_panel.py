@@ -92,21 +92,21 @@ class ParameterPanel:
         control = _slider(row, _value(self._start, name), limits)
         control.description = row["name"]
         control.tooltip = f"{row['doc']} ({name})"
-        control.style = {"description_width": "130px"}
-        control.layout = widgets.Layout(width="335px")
+        control.style = {"description_width": "138px"}
+        control.layout = widgets.Layout(width="330px")
         control.add_class("adaptiveface-" + name.replace(".", "-"))
         control.observe(lambda change: self._quiet or self._apply_on_main(), "value")
         self.controls[name] = control
         unit = widgets.HTML(
             f"<span title='{row['doc']}'>{row['unit'].replace(' per 3480 vertices', ' / mesh')}</span>",
-            layout=widgets.Layout(width="85px"),
+            layout=widgets.Layout(width="76px"),
         )
         parts = [control, unit]
         if row["paper"] is not None:
             paper = widgets.Button(
                 description=f"paper: {_short(row['paper'])}",
                 tooltip="set the paper's value",
-                layout=widgets.Layout(width="auto", min_width="105px"),
+                layout=widgets.Layout(width="auto", min_width="100px"),
             )
             paper.on_click(lambda _: _move(control, row["paper"]))
             parts.append(paper)
