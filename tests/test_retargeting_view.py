@@ -94,3 +94,13 @@ def test_playback_draws_every_frame(study):
         pictures.append(bytes(study.view.value))
     assert len(set(pictures)) == 5
     study.close()
+
+
+def test_another_price_on_expressions_is_solved_and_shown(study):
+    study.mode.value = RESOLVED
+    study.player.go_to(4)
+    before, cheap = study.view.value, study.resolved.copy()
+    dear = study.resolve(200.0)
+    assert dear is study.resolved and dear[4].sum() < cheap[4].sum() - 0.1
+    assert study.view.value != before, "the faces show it"
+    assert np.array_equal(study.resolve(), cheap)

@@ -16,7 +16,7 @@ function render({ model, el }) {
   image.alt = "3D view: drag to turn, wheel to zoom, double click to reset";
   image.title = "drag: turn · wheel: zoom · double click: straight ahead";
   image.style.cssText =
-    "max-width:100%;height:auto;object-fit:contain;margin:2px;cursor:grab;touch-action:none;user-select:none";
+    "max-width:100%;height:auto;object-fit:contain;margin:2px 0;cursor:grab;touch-action:none;user-select:none";
   el.appendChild(image);
 
   let shown = null;

@@ -70,6 +70,7 @@ class CameraView:
     ) -> None:
         self.size = size
         self._image = image_widget(*size, name="adaptiveface-camera")
+        self._image.value = encode(np.full((size[1], size[0], 3), 240, np.uint8))  # until the first frame
         self.widget = widgets.VBox([widgets.HTML(f"<b>{title}</b>"), self._image])
         self._depth = image_widget(*size) if depth else None
         if depth:

@@ -15,7 +15,7 @@ from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
 from ..retargeting.correctives import transferred_correctives
 from ..retargeting.portrait import FACING, portrait
-from ..retargeting.resolve import SparseResolve
+from ..retargeting.resolve import SPARSITY, SparseResolve
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
 from .kernel import on_main_thread, shown_errors
@@ -46,9 +46,8 @@ class RetargetingStudy:
         self.results = [result for result in results if result is not None and result.tracked]
         names = self.actor.expression_names[: len(self.results[0].coefficients)]
         self.names, self._table = tuple(names), arkit_weights(names)
-        resolve = SparseResolve(self.actor, names)
         self.initial = np.array([r.coefficients_initial for r in self.results])
-        self.resolved = np.array([resolve(r.v4, r.coefficients) for r in self.results])
+        self.resolved = self._resolved(SPARSITY)
         self.characters = [load_character(name) for name in characters]
         self._self = Character("actor", self.actor.neutral, self.actor.triangles, names,
                                self.actor.blendshapes[: len(names)])  # fmt: skip
@@ -82,6 +81,17 @@ class RetargetingStudy:
         below = widgets.HBox([box, widgets.VBox([self.compared, self.expression, self.chart.widget])],
                              layout=widgets.Layout(flex_flow="row wrap"))  # fmt: skip
         self.widget = widgets.VBox([self.view, self.mode, self.player.widget, self.message, below])
+
+    def resolve(self, sparsity: float = SPARSITY) -> np.ndarray:
+        """Re-solve every frame with another price on expressions, mm, and show it; (F, A) the new coefficients."""
+        self.resolved = self._resolved(sparsity)
+        self._added.clear()
+        self._redraw()
+        return self.resolved
+
+    def _resolved(self, sparsity: float) -> np.ndarray:
+        resolve = SparseResolve(self.actor, self.names, sparsity)
+        return np.array([resolve(r.v4, r.coefficients) for r in self.results])
 
     def _to_sliders(self, redraw) -> None:
         if self.mode.value != SLIDERS:
