@@ -176,6 +176,7 @@ def _capture_bar(progress: bool) -> Iterator[Callable[[str, float], None]]:
     with _bar(progress, total=100, unit="%", leave=False) as bar:
 
         def report(step: str, share: float) -> None:
+            """Move the bar to the share of this step."""
             bar.set_description(step.replace("_", " "), refresh=False)
             bar.n = int(np.clip(round(100 * share), 0, 100))
             bar.refresh()

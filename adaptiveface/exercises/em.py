@@ -86,6 +86,7 @@ def swap(function):
     """
 
     def em_in_sample_space(gram, coefficients, steps):
+        """As the tracker's, by the learner's step on isometric coordinates."""
         values, vectors = np.linalg.eigh(gram)
         keep = values > 1e-12 * values[-1]
         samples = np.sqrt(values[keep])[:, None] * vectors[:, keep].T

@@ -149,6 +149,7 @@ def swap(function):
     """The learner's right-hand side in both Laplacian deformations that use depth."""
 
     def right_hand_side(self, matches, normals, term):
+        """As the method's, by the learner's function."""
         features = FeaturePull(self.corners[term.index], self.shares[term.index], term.rows, term.targets, term.weights)
         answer = function(
             distances=matches.distances, normals=normals, weights=matches.weights, w1=self.w1, features=features

@@ -128,6 +128,7 @@ def swap(function):
     """The tracker's step by the learner's function: points, foot points of the matches, normals and weights."""
 
     def step(points, correspondences, centre, vertex_weights):
+        """As the tracker's, by the learner's function."""
         c = correspondences
         targets = points - c.distances[:, None] * c.normals
         # Points without a match have a zero normal and zero weight: they are left out, as in the exercise's cases.

@@ -185,6 +185,7 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
     pace = Pace()
 
     def on_frame(tracked, frame):
+        """Send it, at the recording's own speed unless asked otherwise."""
         if not args.fast:
             pace.wait(tracked.timestamp)
         streamer.send(tracked, frame)

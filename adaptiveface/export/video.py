@@ -30,6 +30,7 @@ def character_panel(mesh: AnimatedMesh) -> Panel:
     character = Character(mesh.name, mesh.neutral, mesh.triangles, (), np.zeros((0, *mesh.neutral.shape)), mesh.colours)
 
     def draw(frame: int) -> np.ndarray:
+        """The character as it is turned in this frame."""
         rotation = CAMERA_TO_VIEW @ mesh.rigid[frame, :3, :3]
         return portrait(character, mesh.shape(frame), PANEL, rotation, rays=1)
 
@@ -41,6 +42,7 @@ def turntable_panel(mesh: AnimatedMesh, degrees_per_frame: float = 2.0) -> Panel
     character = Character(mesh.name, mesh.neutral, mesh.triangles, (), np.zeros((0, *mesh.neutral.shape)), mesh.colours)
 
     def draw(frame: int) -> np.ndarray:
+        """The character as the camera sees it from where it is in this frame."""
         turn = rotation_vector_matrix(np.array([0.0, np.radians(degrees_per_frame * frame), 0.0]))
         return portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ turn, rays=1)
 
@@ -68,6 +70,7 @@ def input_panel(source, result: Result) -> Panel:
     matrix = PANEL / (2 * half) * np.array([[1.0, 0.0, half - u], [0.0, 1.0, half - v]])
 
     def draw(frame: int) -> np.ndarray:
+        """The cropped picture; black where the source has none."""
         try:
             shot = source.read(frame)
         except (FrameError, IndexError):

@@ -72,13 +72,9 @@ def expression(features: Features2D, neutral_pixels: np.ndarray) -> Expression:
     """
     seen, unit = np.where(features.valid[:, None], features.pixels, np.nan), max(eye_distance(neutral_pixels), 1.0)
 
-    def gap(pixels: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-        lengths = np.linalg.norm(pixels[a] - pixels[b], axis=1)
-        lengths = lengths[np.isfinite(lengths)]
-        return float(lengths.mean()) if len(lengths) else float("nan")
-
     def both(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-        return gap(seen, a, b), gap(neutral_pixels, a, b)
+        """The gap of the seen and of the neutral features."""
+        return _gap(seen, a, b), _gap(neutral_pixels, a, b)
 
     lips, lips_neutral = both(_UPPER_LIP, _LOWER_LIP)
     width, width_neutral = both(_MOUTH[:1], _MOUTH[1:])
@@ -91,6 +87,13 @@ def expression(features: Features2D, neutral_pixels: np.ndarray) -> Expression:
         abs(brows - brows_neutral) / unit / BROWS,
     )
     return Expression(*(max(float(d), 0.0) if np.isfinite(d) else 0.0 for d in deviations))
+
+
+def _gap(pixels: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """Mean distance of the features ``a`` from ``b``, px; NaN where none of them is seen."""
+    lengths = np.linalg.norm(pixels[a] - pixels[b], axis=1)
+    lengths = lengths[np.isfinite(lengths)]
+    return float(lengths.mean()) if len(lengths) else float("nan")
 
 
 def sharpness(frame: RgbdFrame) -> float:

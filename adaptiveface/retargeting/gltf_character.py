@@ -146,6 +146,7 @@ def _merged(file: GltfFile, pieces: list[_Piece]) -> list[tuple[str, np.ndarray]
     order: dict[str, np.ndarray] = {}
 
     def add(name: str, piece: int, shape: np.ndarray, weight: float = 1.0) -> None:
+        """Add a piece's share to the shape of that name."""
         if name not in order:
             file.spend(3 * int(starts[-1]), zeros=True)
             order[name] = np.zeros((starts[-1], 3))

@@ -46,6 +46,7 @@ def on_main_thread(function: Callable) -> Callable:
     loop, waiting, lock = running_loop(), [], threading.Lock()
 
     def run_newest() -> None:
+        """The newest of the calls that wait; the others are forgotten."""
         with lock:
             arguments, options = waiting.pop()
             waiting.clear()
@@ -53,6 +54,7 @@ def on_main_thread(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def wrapper(*arguments, **options):
+        """At once on the main thread, from any other as soon as that is free."""
         if loop is None or threading.current_thread() is threading.main_thread():
             return function(*arguments, **options)
         with lock:

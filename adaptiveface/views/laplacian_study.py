@@ -84,6 +84,7 @@ def printed_pane(session: Session):
     equation, frontal = PrintedEquation(session.actor, session.camera), session.actor.frontal
 
     def pane(result: TrackedFrame, frame: RgbdFrame, parameters: Parameters):
+        """Vertices and heat of one frame."""
         heat = np.full(len(frontal), np.nan)
         if not result.tracked:
             return result.v1, heat
@@ -114,6 +115,7 @@ def tracker_with_laplacian(name: str):
     )
 
     def make(actor: Actor, parameters: Parameters) -> FaceTracker:
+        """A tracker that smooths by the chosen operator."""
         tracker = copy.copy(FaceTracker(actor, parameters))
         rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
         tracker.deformation = LaplacianDeformation(

@@ -98,6 +98,7 @@ def angle_chart(session: Session, every: int = 10):
     known: dict[int, tuple[object, float]] = {}
 
     def source(replay: Replay):
+        """The curve up to where the replay is."""
         values = np.full(len(replay.frames), np.nan)
         for index in range(every - 1, replay.done, every):
             result = replay.results[index]

@@ -77,6 +77,7 @@ def paint(vertices: np.ndarray, model: FaceModel, anatomy, marks: Landmarks, hei
     colours = np.repeat(tone["skin"][None], len(vertices), axis=0)
 
     def mix(weight, colour):
+        """Paint over what there is, where ``weight`` (V,) says."""
         nonlocal colours
         weight = np.clip(weight, 0, 1)[:, None]
         colours = (1 - weight) * colours + weight * colour

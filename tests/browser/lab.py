@@ -167,27 +167,24 @@ def changed(before: np.ndarray, after: np.ndarray) -> float:
 def drag(page, parameter: str, by: float, steps: int = 10) -> None:
     """Drag the slider of a parameter ("laplacian.w2") with the mouse, ``by`` pixels."""
     handle = page.locator(f".adaptiveface-{parameter.replace('.', '-')} .noUi-handle").first
-    handle.scroll_into_view_if_needed()
-    box = handle.bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for k in range(1, steps + 1):
-        page.mouse.move(x + by * k / steps, y)
-        page.wait_for_timeout(30)
-    page.mouse.up()
+    _drag_element(page, handle, 0.5, (by, 0.0), steps)
 
 
 def drag_face(page, face, by: tuple[float, float], steps: int = 12) -> None:
     """Drag on the face itself with the mouse, ``by`` pixels."""
-    face.scroll_into_view_if_needed()
-    box = face.bounding_box()
-    x, y = box["x"] + box["width"] / 4, box["y"] + box["height"] / 2
+    _drag_element(page, face, 0.25, by, steps)
+
+
+def _drag_element(page, element, from_left: float, by: tuple[float, float], steps: int) -> None:
+    """From a point at this share of the width, at half the height."""
+    element.scroll_into_view_if_needed()
+    box = element.bounding_box()
+    x, y = box["x"] + from_left * box["width"], box["y"] + box["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
     for k in range(1, steps + 1):
         page.mouse.move(x + by[0] * k / steps, y + by[1] * k / steps)
-        page.wait_for_timeout(20)
+        page.wait_for_timeout(25)
     page.mouse.up()
 
 
