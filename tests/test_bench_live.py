@@ -27,12 +27,30 @@ def test_the_interval_holds_the_true_slope_nineteen_times_in_twenty():
     assert 0.92 < inside < 0.98
 
 
+def test_memory_taken_in_a_few_steps_is_no_trend_and_a_leak_is_one():
+    t = np.arange(1500.0)
+
+    def steps(rng, count: int) -> np.ndarray:
+        return sum((160 * rng.exponential() * (t > start) for start in rng.uniform(0, 1500, count)), np.zeros(1500))
+
+    def found(make) -> float:
+        return np.mean([not soak.trend(t, make(np.random.default_rng(seed))).zero for seed in range(200)])
+
+    def leak(rng) -> np.ndarray:  # a page of 4 KiB again and again, 4 KiB a minute
+        return 4.0 * rng.poisson(1 / 60, 1500).cumsum()
+
+    assert found(lambda rng: steps(rng, 1)) < 0.08 and found(lambda rng: steps(rng, 2)) < 0.15
+    assert found(lambda rng: rng.normal(size=1500).cumsum()) < 0.2  # plain regression: 0.74
+    assert found(leak) == 1.0 and found(lambda rng: steps(rng, 20)) > 0.95
+    assert found(lambda rng: leak(rng) + rng.normal(size=1500)) == 1.0
+
+
 def test_counts_that_change_fail_the_soak():
-    rows = np.column_stack([np.arange(100.0), np.full(100, 6e8), np.full(100, 9), np.full(100, 30)])
+    rows = np.column_stack([np.arange(100.0), np.full(100, 6e8), np.full(100, 8e8), np.full(100, 9), np.full(100, 30)])
     rows[::2, 1] += 4096
     steady = soak._figures(rows, 100 / 60, [50, 1])
     assert steady.passed and "threads constant at 9" in steady.table() and steady.frames == 50
-    rows[60:, 3] += 1
+    rows[60:, 4] += 1
     leaking = soak._figures(rows, 100 / 60, [50, 1])
     assert not leaking.passed and "file handles CHANGE from 30 to 31" in leaking.table()
 
