@@ -24,6 +24,7 @@ from adaptiveface.parameters import Parameters, describe  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study  # noqa: E402
 from adaptiveface.views.kernel import BackgroundTask, on_main_thread, shown_errors  # noqa: E402
+from adaptiveface.views.painted_view import PaintedView  # noqa: E402
 from adaptiveface.views.pictures import annotate  # noqa: E402
 from adaptiveface.views.session import Session, liveliest_window  # noqa: E402
 
@@ -128,6 +129,21 @@ def test_face_view_shows_heat_motion_and_camera(session):
     turned = np.abs(decoded(view._image) - hot).max(axis=2) > 12
     assert turned[:, :160].mean() > 0.05 and turned[:, 160:].mean() > 0.05, "the cameras are linked"
     view.close()
+
+
+def test_the_live_view_paints_what_vtk_draws(session):
+    """Beside a live tracker a kernel of our own draws the head; from any side it is the picture of the other views."""
+    actor = session.actor
+    heat = np.where(actor.frontal, np.abs(actor.neutral[:, 0]) / 20, np.nan)
+    vtk = views.FaceView.of(actor, limits=(0, 3), pane=(160, 180))
+    painted = PaintedView(actor.neutral, actor.triangles, limits=(0, 3), size=(160, 180), centre=vtk.centre)
+    for camera in ((0.0, 0.0, 1.0), (40.0, -20.0, 1.0), (-80.0, 10.0, 2.5)):
+        for view in (vtk, painted):
+            view.show(0, actor.neutral, heat)
+            view.look(*camera)
+        difference = np.abs(vtk.picture().astype(int) - painted.picture())
+        assert difference.mean() < 1.5 and (difference.max(axis=2) > 30).mean() < 0.01
+    vtk.close()
 
 
 def test_mouse_and_sliders_move_one_camera(session):

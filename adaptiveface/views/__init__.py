@@ -18,7 +18,8 @@ except ImportError:
     ) from None
 
 from .charts import BarChart, GridChart, LiveChart
-from .face_view import FaceView, colour_bar
+from .face_view import FaceView
+from .head_view import colour_bar
 from .headless import prepare_rendering
 from .kernel import on_main_thread, running_tasks, strict
 from .live_view import LiveView

@@ -37,6 +37,14 @@ def depth_as_colour(depth: np.ndarray) -> np.ndarray:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
 
 
+#: A ring of radius 3 and a cross of half width 2, in pixels: drawn for all features by one call each, because every call of
+#: OpenCV gives the interpreter away to the tracker's threads and waits to have it back.
+_RING = 3.0 * np.stack([np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8)], axis=1)
+_CROSS = np.array([[[-2.0, 0.0], [2.0, 0.0]], [[0.0, -2.0], [0.0, 2.0]]])
+#: Fractional bits of the coordinates that OpenCV draws at.
+_SHIFT = 4
+
+
 def annotate(frame: RgbdFrame, points: np.ndarray | None = None, features: np.ndarray | None = None) -> np.ndarray:
     """The colour image with 2D features (yellow rings), the model's features (blue crosses) and its vertices (dots).
 
@@ -48,15 +56,21 @@ def annotate(frame: RgbdFrame, points: np.ndarray | None = None, features: np.nd
         return np.round(frame.camera.project(positions)).astype(int)
 
     if points is not None:
-        for u, v in pixels(points):
-            cv2.circle(image, (int(u), int(v)), 0, (90, 220, 255), -1)
+        u, v = pixels(points).T
+        inside = (u >= 0) & (v >= 0) & (u < image.shape[1]) & (v < image.shape[0])
+        image[v[inside], u[inside]] = (90, 220, 255)
     if features is not None:
-        for u, v in pixels(features):
-            cv2.drawMarker(image, (int(u), int(v)), (30, 90, 255), cv2.MARKER_CROSS, 5, 1, cv2.LINE_AA)
+        _draw(image, pixels(features)[:, None, None] + _CROSS, False, (30, 90, 255))
     if frame.features is not None:
-        for u, v in frame.features.pixels[frame.features.valid]:
-            cv2.circle(image, (int(round(u)), int(round(v))), 3, (255, 220, 0), 1, cv2.LINE_AA)
+        seen = np.round(frame.features.pixels[frame.features.valid])
+        _draw(image, seen[:, None, None] + _RING, True, (255, 220, 0))
     return image
+
+
+def _draw(image: np.ndarray, lines: np.ndarray, closed: bool, colour: tuple[int, int, int]) -> None:
+    """Thin smooth lines (..., m, 2) through m points each, pixels, in place."""
+    fixed = np.round(lines * (1 << _SHIFT)).astype(np.int32).reshape(-1, *lines.shape[-2:])
+    cv2.polylines(image, list(fixed), closed, colour, 1, cv2.LINE_AA, _SHIFT)
 
 
 class CameraView:
