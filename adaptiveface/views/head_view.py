@@ -112,7 +112,7 @@ class HeadView:
                 style={"description_width": width}, layout=widgets.Layout(width="188px"),
             )
             for name, start, scale, width, (low, high) in zip(
-                ("turn, °", "tilt, °", "zoom, %"), (0, 0, 100), SCALES, ("44px", "40px", "52px"), LIMITS, strict=True
+                ("turn, °", "tilt, °", "zoom, %"), (0, 0, 100), SCALES, ("48px", "44px", "60px"), LIMITS, strict=True
             )
         )  # fmt: skip
         move, wish = on_main_thread(lambda *camera: self.look(*camera)), on_main_thread(self._wish)

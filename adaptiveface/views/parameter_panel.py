@@ -98,7 +98,7 @@ class ParameterPanel:
         control.observe(lambda change: self._quiet or self._apply_on_main(), "value")
         self.controls[name] = control
         unit = widgets.HTML(
-            f"<span title='{row['doc']}'>{row['unit'].replace(' per 3480 vertices', ' / mesh')}</span>",
+            f"<span title='{row['doc']}'>{row['unit'].replace(' per 3480 vertices', ' / mesh').replace('^2', '²')}</span>",
             layout=widgets.Layout(width="76px"),
         )
         parts = [control, unit]
