@@ -138,6 +138,7 @@ def notebooks_index(docs: Path) -> str:
 
 # ---- docstrings -----------------------------------------------------------------------------------------------------
 LITERAL = re.compile(r"(``.+?``|:\w+:`[^`]+`)")
+BARE_ROLE = re.compile(r"(:(?:class|func|meth|attr):`)(?=[A-Za-z])(?!adaptiveface)")
 
 
 def plain_to_rst(app, what, name, obj, options, lines: list[str]) -> None:
@@ -180,6 +181,8 @@ def _escaped(line: str, bullet: bool) -> str:
     for number in range(2, len(parts), 2):  # a literal must not touch the word after it
         if parts[number][:1].isalnum():
             parts[number] = "\\ " + parts[number]
+    # A name without its module links to wherever in the package it is defined.
+    parts[1::2] = [BARE_ROLE.sub(r"\1.", part) for part in parts[1::2]]
     return head + "".join(parts)
 
 
