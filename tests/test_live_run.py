@@ -206,3 +206,28 @@ def test_changed_parameters_are_those_of_the_session(sensor):
         run.set_parameters(run.parameters.set(laplacian__w2=9.0))
         assert run.session.parameters.laplacian.w2 == run.parameters.laplacian.w2 == 9.0
         np.testing.assert_array_equal(run.actor.neutral, exact_actor().neutral)
+
+
+def test_asked_to_detect_it_searches_every_picture_and_closes_the_detector(monkeypatch):
+    """Though the frames bring features."""
+    searched, closed = [], []
+
+    class Detector:
+        def __init__(self, *, video: bool) -> None:
+            assert video
+
+        def detect(self, frame):
+            searched.append(frame.sequence)
+            return frame.features
+
+        def close(self) -> None:
+            closed.append(len(searched))
+
+    monkeypatch.setattr("adaptiveface.live.feed.FeatureDetector", Detector)
+    for detect, count in ((False, 0), (True, 8)):
+        with LiveSensor(lambda: ScriptedDriver(steps())) as sensor:
+            with LiveRun(sensor, exact_actor(), detect=detect) as run:
+                assert run.wait()
+                wait_for(lambda run=run: not run.session.running)
+        assert len(searched) == count
+    assert closed == [8]

@@ -1,7 +1,7 @@
 """A live sensor: one thread owns the vendor's library, the reader gets the newest frame and never a stale one.
 
-A :class:`Driver` is the part that differs between sensors. :class:`LiveSensor` runs it in a thread of its own, checks
-what it delivers, opens it again after it was unplugged, and hands the frames over.
+A :class:`~adaptiveface.sensors.driver.Driver` is the part that differs between sensors. :class:`LiveSensor` runs it in a
+thread of its own, checks what it delivers, opens it again after it was unplugged, and hands the frames over.
 """
 
 from __future__ import annotations
@@ -11,12 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Protocol
 
-import numpy as np
-
-from ..camera import Camera
 from ..errors import (
     AdaptiveFaceError,
     EndOfRecording,
@@ -24,7 +19,7 @@ from ..errors import (
     SensorError,
     SensorTimeoutError,
 )
-from ..frame import Features2D, RgbdFrame
+from .driver import Driver, LiveFrame, RawFrame, live_frame, usable
 
 #: Longest a driver may wait for a frame, s: closing has to stay responsive.
 POLL_SECONDS = 0.1
@@ -36,72 +31,6 @@ RECONNECT_SECONDS = 0.25
 LIVE_SECONDS, FILE_SECONDS = 1.0, 60.0
 #: A device's frame number that falls back by more than this is a counter that started over, not a late frame.
 RESTART_GAP = 100
-
-
-@dataclass(frozen=True)
-class LiveFrame(RgbdFrame):
-    """A frame of a live sensor; it owns its arrays.
-
-    ``index`` counts the frames handed out; ``timestamp`` is the device's clock, s; ``host_timestamp`` the arrival on
-    ``time.perf_counter``, s; ``sequence`` the device's frame number; ``dropped`` how many frames of this sensor were
-    never handed out until now: lost by the device, replaced by a newer one, or too old.
-    """
-
-    host_timestamp: float = 0.0
-    sequence: int = 0
-    dropped: int = 0
-
-    @property
-    def device_timestamp(self) -> float:
-        """Seconds on the device's clock."""
-        return self.timestamp
-
-    @property
-    def age(self) -> float:
-        """Seconds since the frame arrived."""
-        return time.perf_counter() - self.host_timestamp
-
-
-@dataclass(frozen=True)
-class RawFrame:
-    """What a driver delivers: ``depth`` (H, W) mm of any dtype, ``colour`` (H, W, 3) uint8 RGB aligned to it or None.
-
-    Arrays may be views of the vendor's memory, valid until the driver is called again; they are copied at once.
-    """
-
-    depth: np.ndarray
-    camera: Camera
-    colour: np.ndarray | None
-    sequence: int
-    timestamp: float
-    features: Features2D | None = None
-
-
-class Driver(Protocol):
-    """One vendor's library behind one small interface; every method is called from the same thread.
-
-    ``name`` for titles; ``live``: frames that nobody reads are replaced by newer ones (False for files, which wait);
-    ``has_features``: frames bring 2D features; ``depth_scale``: units per metre in which depth is measured; ``fps``.
-    Optional: ``colour_only`` True where there is no depth camera, so that every depth is 0.
-    """
-
-    name: str
-    live: bool
-    has_features: bool
-    depth_scale: float
-    fps: float
-
-    def open(self) -> None:
-        """Start streaming. Raises :class:`SensorError`."""
-
-    def grab(self, timeout: float) -> RawFrame | None:
-        """The next frame, or None when there is none within ``timeout`` seconds.
-
-        Raises :class:`SensorDisconnectedError` or :class:`EndOfRecording`.
-        """
-
-    def close(self) -> None:
-        """Stop and release everything; also after a failed :meth:`open`."""
 
 
 class LiveSensor:
@@ -276,12 +205,12 @@ class LiveSensor:
 
     def _publish(self, raw: RawFrame) -> None:
         behind = None if self._last is None else self._last - raw.sequence
-        if (behind is not None and 0 <= behind <= RESTART_GAP) or not _usable(raw):
+        if (behind is not None and 0 <= behind <= RESTART_GAP) or not usable(raw):
             self.discarded += 1  # a late or unusable one was counted as dropped where its number was missing
             return
         lost = max(-behind - 1, 0) if behind is not None and behind < 0 else 0
         self._last = raw.sequence
-        frame = _live_frame(raw)
+        frame = live_frame(raw)
         if self.live:
             self._tell(frame)
         with self._changed:
@@ -327,18 +256,4 @@ def _close_quietly(driver: Driver | None) -> None:
         pass
 
 
-def _usable(raw: RawFrame) -> bool:
-    size = (raw.camera.height, raw.camera.width)
-    return raw.depth.shape == size and (raw.colour is None or raw.colour.shape == (*size, 3))
-
-
-def _live_frame(raw: RawFrame) -> LiveFrame:
-    """Arrays of its own; NaN, infinite and negative depth become 0, no measurement."""
-    depth = np.array(raw.depth, np.float32)
-    depth[~((depth > 0) & (depth < np.inf))] = 0
-    colour = None if raw.colour is None else np.array(raw.colour, np.uint8)
-    timestamp = float(raw.timestamp) if math.isfinite(raw.timestamp) else time.perf_counter()
-    return LiveFrame(
-        depth, raw.camera, colour, 0, timestamp, raw.features,
-        host_timestamp=time.perf_counter(), sequence=int(raw.sequence),
-    )  # fmt: skip
+__all__ = ["Driver", "LiveFrame", "LiveSensor", "RawFrame"]
