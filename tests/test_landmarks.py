@@ -16,7 +16,7 @@ import pytest
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError
 from adaptiveface.frame import FEATURE_IDS, MEDIAPIPE_INDICES
 from adaptiveface.landmarks import FeatureDetector, face_landmarker_file, model_file
-from adaptiveface.landmarks.detector import TRUST, confidence, foreground_box
+from adaptiveface.landmarks.detector import TRUST, confidence, feature_pixels, foreground_box
 from adaptiveface.mesh import rigid_alignment, transform_points
 from adaptiveface.sensors import Recording
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -208,3 +208,26 @@ def test_nothing_is_left_on_stderr():
     if "could not be fetched" in run.stderr:
         pytest.skip("the model file cannot be fetched here")
     assert (run.returncode, run.stderr) == (0, "")
+
+
+# ---- the model's features on MediaPipe's mesh ------------------------------------------------------------------------
+def test_features_follow_every_affine_motion_of_the_landmarks():
+    mesh, turn = np.random.default_rng(0).normal(0, 40, (478, 3)), np.array([[1.2, -0.4], [0.3, 0.9]])
+    moved = mesh.copy()
+    moved[:, :2] = mesh[:, :2] @ turn + [320, 240]
+    np.testing.assert_allclose(feature_pixels(moved), feature_pixels(mesh) @ turn + [320, 240], atol=1e-3)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mediapipe") is None, reason="needs mediapipe")
+@pytest.mark.parametrize("seed", [5, 6])
+def test_the_placed_features_lie_nearer_to_the_models_than_the_landmarks(seed):
+    sensor, detector = SyntheticSensor(seed, "none", 8, 0, feature_noise=0.0), FeatureDetector()
+    placed, plain = [], []
+    for index in (0, 3, 6):  # turned left and right, up and down
+        frame = sensor.read(index)
+        mesh = detector.detect_meshes(frame.colour)[0]
+        placed.append(feature_pixels(mesh) - frame.features.pixels)
+        plain.append(mesh[MEDIAPIPE_INDICES, :2] - frame.features.pixels)
+    detector.close()
+    off = [np.linalg.norm(np.nanmean(errors, axis=0), axis=1) for errors in (placed, plain)]
+    assert np.nanmean(off[0]) < 0.85 * np.nanmean(off[1])

@@ -19,6 +19,8 @@ import sys
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
+from importlib.resources import as_file, files
 
 import numpy as np
 
@@ -35,6 +37,10 @@ _FOREGROUND_MM = 500.0
 TRUST = 0.3
 #: Faces looked for in a picture; one would switch MediaPipe's smoothing on.
 MAX_FACES = 3
+
+#: Shares (40, 468) of MediaPipe's skin landmarks in each feature: its landmark of the same name lies up to 2 mm from the
+#: model's feature, alike on every face. Made by ``data_synth/place_detected_features.py``.
+_PLACES = "mediapipe_features.npz"
 
 _live: weakref.WeakSet = weakref.WeakSet()
 
@@ -111,7 +117,7 @@ class FeatureDetector:
         mesh = self._kept.choose(meshes, frame)
         if mesh is None:
             return None
-        return Features2D(mesh[MEDIAPIPE_INDICES, :2], confidence(mesh, self._triangles))
+        return Features2D(feature_pixels(mesh), confidence(mesh, self._triangles))
 
     def detect_meshes(self, colour: np.ndarray) -> list[np.ndarray]:
         """(478, 3) landmarks of every face in ``colour`` (H, W, 3) uint8 RGB: pixels, and depth on their scale.
@@ -130,6 +136,18 @@ class FeatureDetector:
         self._video_size = frame.colour.shape
         found = self._video.detect_for_video(self._image(frame.colour), self._clock.tick(frame.timestamp))
         return _in_pixels(found, frame.colour.shape)
+
+
+@lru_cache(maxsize=1)
+def _places() -> np.ndarray:
+    with as_file(files("adaptiveface") / "assets" / _PLACES) as path, np.load(path, allow_pickle=False) as data:
+        return data["weights"].astype(float)
+
+
+def feature_pixels(mesh: np.ndarray) -> np.ndarray:
+    """(40, 2) px: the model's features on MediaPipe's ``mesh`` (478, 3) px, each by its landmark and the ones next to it."""
+    places = _places()
+    return places @ mesh[: places.shape[1], :2]
 
 
 def _in_pixels(found, shape: tuple[int, ...]) -> list[np.ndarray]:

@@ -20,13 +20,24 @@ from .fuse import FusedScan
 class FeatureConstraints:
     """Mean squared distance of each feature to its viewing rays: energy x.A x - 2 b.x + c, in the scan frame, mm^2.
 
-    A (40, 3, 3), b (40, 3), c (40,); weights (40,): accumulated confidence over the frames, 0 = never seen.
+    A (40, 3, 3), b (40, 3), c (40,); weights (40,): accumulated confidence over the frames, 0 = never seen; trust in
+    [0, 1]: the highest confidence of any feature, what the source of the features says of itself.
     """
 
     A: np.ndarray
     b: np.ndarray
     c: np.ndarray
     weights: np.ndarray
+    trust: float = 1.0
+
+    @property
+    def strength(self) -> np.ndarray:
+        """(40,) what each constraint counts: trust squared, 0 where never seen.
+
+        A detector errs alike in all neutral frames, so that many frames are no better than one, and what it errs by goes
+        into the mesh for good. Squared, because that beat the trust itself (docs, paper-notes).
+        """
+        return self.seen * self.trust**2
 
     @property
     def seen(self) -> np.ndarray:
@@ -60,7 +71,8 @@ def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray
     A = np.einsum("kf,kfij->fij", weight, across)
     b = np.einsum("kf,kfij,kfj->fi", weight, across, centre)
     c = np.einsum("kf,kfi,kfij,kfj->f", weight, centre, across, centre)
-    return FeatureConstraints(A, b, c, total)
+    trust = max(float(features.confidence.max()) for features in scan.features if features is not None)
+    return FeatureConstraints(A, b, c, total, trust)
 
 
 def _rays(scan: FusedScan, k: int, points: np.ndarray, facing: np.ndarray):

@@ -158,6 +158,6 @@ def _add_features(lhs, rhs, model, vertices, rotation, centre, constraints: Feat
     spin = np.stack([np.stack(r, axis=1) for r in ([zero, z, -y], [-z, zero, x], [y, -x, zero])], axis=1)
     jacobian = np.concatenate([spin, np.broadcast_to(np.eye(3), spin.shape), shape], axis=2)
     offset = np.einsum("fij,fj->fi", constraints.A, points) - constraints.b
-    weight = constraints.seen / parameters.feature_sigma**2
+    weight = constraints.strength / parameters.feature_sigma**2
     lhs += np.einsum("f,fim,fij,fjn->mn", weight, jacobian, constraints.A, jacobian, optimize=True)
     rhs -= np.einsum("f,fim,fi->m", weight, jacobian, offset)

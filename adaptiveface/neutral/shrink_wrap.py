@@ -153,7 +153,7 @@ def _add_features(energy: _Energy, carry, model, current, constraints: FeatureCo
     count = len(model.feature_triangles)
     index = np.repeat(np.arange(count), 3), model.feature_triangles.ravel()
     pick = sp.csr_matrix((model.feature_weights.ravel(), index), (count, carry.shape[0]))
-    strength = (parameters.feature_weight * constraints.seen)[:, None, None]
+    strength = (parameters.feature_weight * constraints.strength)[:, None, None]
     weight = sp.block_diag(list(strength * constraints.A), format="csr")
     energy.add(sp.kron(pick @ carry, sp.identity(3), format="csr"), _to_rays(pick @ current, constraints), weight)
 
