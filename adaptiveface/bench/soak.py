@@ -49,6 +49,7 @@ def trend(seconds: np.ndarray, values: np.ndarray, blocks: int = BLOCKS) -> Tren
     r = _autoregression(y - np.polyval(np.polyfit(t, y, 1), t))
 
     def quasi_difference(series: np.ndarray) -> np.ndarray:
+        """(n,) of (n,): what each value adds to the share ``r`` of the one before it."""
         return np.concatenate([[np.sqrt(1 - r**2) * series[0]], series[1:] - r * series[:-1]])
 
     columns = [t] if r == 1 else [np.ones(len(t)), t]  # a random walk's start says nothing
@@ -123,6 +124,7 @@ def soak(minutes: float, make_detector=TimedDetector, frames: int = 70, every: f
     detector = make_detector()
 
     def note(result) -> None:
+        """Count the frames, and those without a face."""
         count[0] += 1
         count[1] += not result.tracked.tracked
 
@@ -145,6 +147,7 @@ def _figures(rows: np.ndarray, minutes: float, count: list[int]) -> SoakFigures:
     t, memory, resident, threads, handles = rows[rows[:, 0] >= warm_up].T
 
     def mib(values: np.ndarray) -> tuple[float, float]:
+        """Lowest and highest of bytes (n,), MiB."""
         return round(values.min() / 2**20, 2), round(values.max() / 2**20, 2)
 
     return SoakFigures(
@@ -163,6 +166,7 @@ def _sampler() -> Callable[[], tuple[int, int, int, int]]:
     handles = getattr(process, "num_fds", None) or process.num_handles
 
     def sample() -> tuple[int, int, int, int]:
+        """Own and resident bytes, threads, file handles."""
         info = process.memory_info()
         # On Linux what is resident and not shared is what the process allocated; elsewhere psutil's "unique set".
         own = info.rss - info.shared if hasattr(info, "shared") else process.memory_full_info().uss

@@ -46,6 +46,7 @@ class _Parser(argparse.ArgumentParser):
     """Reports a bad command line in one line, without the usage text."""
 
     def error(self, message: str) -> None:
+        """End the process with :data:`EXIT_ERROR` and one line."""
         self.exit(_fail(f"{message} (see {self.prog} --help)"))
 
 

@@ -103,6 +103,7 @@ def _with(e_step=None, m_step=None):
     """A mistake in the E-step, in the M-step, or in both; each a function of (M, S) or of (M, S, Y)."""
 
     def answer(correctives, samples):
+        """Y and the new M, as the learner returns them."""
         y, m = truth(correctives, samples)
         y = y if e_step is None else e_step(correctives, samples)
         return y, m if m_step is None else m_step(correctives, samples, y)

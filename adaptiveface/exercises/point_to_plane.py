@@ -163,6 +163,7 @@ def _transposed(**case):
 
 def _power(power):
     def answer(**case):
+        """Rotation (3, 3) and translation (3,) mm."""
         turn, shift = solve(**case, power=power)
         return about(case["points"].mean(axis=0), rotation_vector_matrix(turn), shift)
 
@@ -182,6 +183,7 @@ def _translation_only(**case):
 
 def _point_to_point(use_weights):
     def answer(points, targets, normals, weights):
+        """Rotation (3, 3) and translation (3,) mm."""
         pose = rigid_alignment(points, targets, weights if use_weights else None)
         return pose[:3, :3], pose[:3, 3]
 

@@ -125,6 +125,7 @@ def _principal_targets(residual: np.ndarray, tolerance: float) -> tuple[np.ndarr
     vectors = vectors[:, ::-1][:, : int((values > 1e-12 * max(values[-1], 1e-30)).sum())]
 
     def error(k: int) -> float:
+        """Largest distance of a vertex from where it is, with ``k`` vectors."""
         rest = flat - vectors[:, :k] @ (vectors[:, :k].T @ flat)
         return float(np.linalg.norm(rest.reshape(count, size, 3), axis=2).max(initial=0.0))
 

@@ -118,6 +118,7 @@ class _Energy:
         self._rhs = self._rhs - weighted @ residual
 
     def solve(self) -> np.ndarray:
+        """Unknowns that minimise the energy added so far."""
         return _factor(self._lhs).solve(self._rhs)
 
 

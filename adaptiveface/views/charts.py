@@ -94,6 +94,7 @@ class BarChart:
         self._background = np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
         def pixels(data: np.ndarray) -> np.ndarray:
+            """(n, 2) px of data (n, 2)."""
             return axis.transData.transform(data)
 
         (self._left, _), (self._right, _) = pixels(np.array([[x[0], 0], [x[1], 0]]))
@@ -143,6 +144,7 @@ class GridChart:
         self.draw()
 
     def draw(self) -> None:
+        """The map as it is now, as a picture."""
         figure = Figure(
             figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, facecolor="white", layout="constrained"
         )

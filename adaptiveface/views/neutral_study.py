@@ -47,6 +47,7 @@ class _Study:
             self.view.refresh()
 
     def draw(self) -> None:
+        """Bring the view's panes up to date with the controls; every study has its own."""
         raise NotImplementedError
 
     def close(self) -> None:

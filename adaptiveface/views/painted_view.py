@@ -3,7 +3,8 @@
 VTK without a graphics card draws on threads of its own and keeps Python's interpreter locked until they are done; where
 MediaPipe and the browser want the cores as well, the tracker waits for all of them. The kernel here runs on the calling
 thread alone and leaves the interpreter to the others: 4.6 ms of CPU time instead of 12.2 ms for a picture of 360 x 400 pixels,
-light and all.
+light and all. :func:`adaptiveface.rendering.ray_cast` makes the same picture (within 0.002 grey values on average), but
+keeps depth, triangle and weights of every pixel for its other users: 9.6 ms instead of 3.0 without the light.
 """
 
 from __future__ import annotations
