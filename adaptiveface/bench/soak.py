@@ -14,8 +14,10 @@ from ..errors import MissingExtraError
 from ..live import FeatureFeed, LiveSession
 from .live import FastDriver, TimedDetector, live_scene
 
-#: The first part of the run is left out: buffers fill, the allocator finds its working size. At most so many seconds.
-WARM_UP_SHARE, WARM_UP_MOST = 0.25, 300.0
+#: Before what is measured, the chain runs for this share of its time, at most so many seconds: buffers fill, and the C
+#: allocator finds its working size. Sampled over 45 minutes, it asked for its last 40 KiB between the third and the
+#: fifteenth, by ever rarer steps, while the bytes in use and Python's blocks stayed, and for nothing afterwards.
+WARM_UP_SHARE, WARM_UP_MOST = 0.5, 900.0
 #: The line is fitted to the means of so many blocks.
 BLOCKS = 100
 
@@ -70,7 +72,9 @@ def _autoregression(residuals: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class SoakFigures:
-    """What :func:`soak` found after the warm-up: own ``memory`` KiB a minute; the others as (lowest, highest).
+    """What :func:`soak` found in the ``minutes`` after the ``warm_up`` s: own ``memory`` KiB a minute; ``frames`` of both.
+
+    The others are (lowest, highest).
 
     ``resident_mib`` counts the pages of program files as well, which the kernel maps and drops as it likes: by 3 MiB within
     20 s while nothing of ours changed.
@@ -97,8 +101,8 @@ class SoakFigures:
         low, high = self.memory_mib
         verdict = "zero within its error" if self.memory.zero else "NOT zero"
         return (
-            f"{self.minutes:.1f} minutes at {self.fps:.1f} frames a second ({self.frames} frames, {self.lost} without a "
-            f"face), the first {self.warm_up:.0f} s left out\n"
+            f"{self.minutes:.1f} minutes, after {self.warm_up:.0f} s of warming up, at {self.fps:.1f} frames a second "
+            f"({self.frames} frames in all, {self.lost} without a face)\n"
             f"memory {low:.1f} to {high:.1f} MiB, slope {self.memory.slope:+.1f} +- {self.memory.margin:.1f} KiB a minute "
             f"(95 %): {verdict}\n"
             f"with the pages of program files {self.resident_mib[0]:.1f} to {self.resident_mib[1]:.1f} MiB; "
@@ -112,14 +116,14 @@ def _range(counts: tuple[int, int]) -> str:
 
 def soak(minutes: float, make_detector=TimedDetector, frames: int = 70, every: float = 1.0,
          tick: Callable[[float], None] = lambda s: None) -> tuple[SoakFigures, np.ndarray]:  # fmt: skip
-    """Run the chain at full speed for ``minutes`` and sample memory, threads and file handles ``every`` so many seconds.
+    """Run the chain at full speed, sample memory, threads and handles ``every`` so many seconds, judge the last ``minutes``.
 
     Returns the figures and the samples (n, 5): seconds, own and resident bytes, threads, file handles. Raises
     :class:`MissingExtraError` without psutil.
     """
     sample, count, taken = _sampler(), [0, 0], 0
     # All in memory before the first sample: a list that grew by one row a second would be the trend that is found.
-    rows = np.full((int(60 * minutes / every) + 2, 5), np.nan)
+    rows = np.full((int(_total_seconds(minutes) / every) + 2, 5), np.nan)
     actor, sensor = live_scene(FastDriver, frames)
     detector = make_detector()
 
@@ -131,7 +135,7 @@ def soak(minutes: float, make_detector=TimedDetector, frames: int = 70, every: f
     with sensor, FeatureFeed(sensor, detector) as feed, LiveSession(feed, actor, on_result=[note]) as session:
         session.latest(timeout=60.0)
         start = time.perf_counter()
-        while (now := time.perf_counter() - start) < 60 * minutes:
+        while (now := time.perf_counter() - start) < _total_seconds(minutes):
             rows[taken] = now, *sample()
             taken += 1
             if hasattr(detector, "ms"):
@@ -142,8 +146,14 @@ def soak(minutes: float, make_detector=TimedDetector, frames: int = 70, every: f
     return _figures(rows[:taken], minutes, count), rows[:taken]
 
 
+def _total_seconds(minutes: float) -> float:
+    """Warming up included."""
+    return 60 * minutes + min(WARM_UP_SHARE * 60 * minutes, WARM_UP_MOST)
+
+
 def _figures(rows: np.ndarray, minutes: float, count: list[int]) -> SoakFigures:
-    warm_up = min(WARM_UP_SHARE * 60 * minutes, WARM_UP_MOST)
+    total = _total_seconds(minutes)
+    warm_up = total - 60 * minutes
     t, memory, resident, threads, handles = rows[rows[:, 0] >= warm_up].T
 
     def mib(values: np.ndarray) -> tuple[float, float]:
@@ -151,7 +161,7 @@ def _figures(rows: np.ndarray, minutes: float, count: list[int]) -> SoakFigures:
         return round(values.min() / 2**20, 2), round(values.max() / 2**20, 2)
 
     return SoakFigures(
-        minutes, warm_up, count[0], count[0] / (60 * minutes), count[1],
+        minutes, warm_up, count[0], count[0] / total, count[1],
         trend(t, memory / 1024), mib(memory), mib(resident),
         (int(threads.min()), int(threads.max())), (int(handles.min()), int(handles.max())),
     )  # fmt: skip
@@ -176,10 +186,10 @@ def _sampler() -> Callable[[], tuple[int, int, int, int]]:
 
 
 def run_soak(minutes: float, as_json: bool = False) -> int:
-    """``adaptiveface bench --soak MINUTES``: 0 when nothing grows, else 1."""
+    """``adaptiveface bench --soak MINUTES``: 0 when nothing grows in MINUTES after the warm-up, else 1."""
     from tqdm import tqdm
 
-    with tqdm(total=round(60 * minutes), desc="soak", unit="s", leave=False, disable=None) as bar:
+    with tqdm(total=round(_total_seconds(minutes)), desc="soak", unit="s", leave=False, disable=None) as bar:
         figures, _ = soak(minutes, tick=lambda elapsed: bar.update(round(elapsed) - bar.n))
     print(json.dumps(asdict(figures)) if as_json else figures.table())
     return 0 if figures.passed else 1
