@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from .appearance import FIELDS as APPEARANCE_FIELDS
+from .appearance import Appearance
 from .errors import FileFormatError
 from .frame import FEATURE_IDS
 from .npz import Field, check_indices, load_checked
@@ -24,6 +26,7 @@ _FIELDS = {
     "scan_normals": Field(("P", 3), optional=True),
     "identity": Field(("M",), optional=True),
     "depth_valid": Field(("N",), "b", optional=True),
+    **APPEARANCE_FIELDS,
 }
 
 
@@ -34,7 +37,8 @@ class Actor:
     neutral (N, 3) mm, head frame: b0; blendshapes (A, N, 3) mm, displacements from the neutral: the columns of B;
     triangles (T, 3) int32; frontal (N,) bool: the region that deforms; depth_valid (N,) bool: vertices that may take a
     depth correspondence; expression_names (A,); feature_triangles (40, 3), feature_weights (40, 3): the 2D features on
-    the surface; scan_points, scan_normals (P, 3): the fused neutral scan; identity (M,): fitted coefficients.
+    the surface; scan_points, scan_normals (P, 3): the fused neutral scan; identity (M,): fitted coefficients;
+    appearance: how the neutral looks around its features, where they were detected in colour pictures.
     """
 
     neutral: np.ndarray
@@ -49,6 +53,7 @@ class Actor:
     scan_normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     identity: np.ndarray = field(default_factory=lambda: np.zeros(0))
     feature_ids: np.ndarray = field(default_factory=lambda: FEATURE_IDS)
+    appearance: Appearance | None = None
 
     @property
     def feature_vertices(self) -> np.ndarray:
@@ -57,10 +62,11 @@ class Actor:
 
     def save(self, path: str | os.PathLike) -> None:
         """Write ``actor.npz`` (float32), whole or not at all."""
+        known = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "appearance"}
         arrays = {}
-        for entry in fields(self):
-            value = np.asarray(getattr(self, entry.name))
-            arrays[entry.name] = value.astype(np.float32) if value.dtype.kind == "f" else value
+        for name, value in (known | (self.appearance.arrays() if self.appearance else {})).items():
+            value = np.asarray(value)
+            arrays[name] = value.astype(np.float32) if value.dtype.kind == "f" else value
         temporary = f"{os.fspath(path)}.part"
         with open(temporary, "wb") as stream:
             np.savez_compressed(stream, **arrays)
@@ -71,7 +77,7 @@ class Actor:
         """Read ``actor.npz``; raises :class:`FileFormatError` naming the file and the array."""
         data = load_checked(path, _FIELDS, max_bytes=2 << 30)
         n = len(data["neutral"])
-        for name in ("triangles", "feature_triangles"):
+        for name in ("triangles", "feature_triangles", *({"appearance_triangles"} & set(data))):
             check_indices(path, name, data[name], n)
             data[name] = data[name].astype(np.int32)
         for name, array in data.items():
@@ -80,7 +86,8 @@ class Actor:
         data["expression_names"] = tuple(str(s) for s in data["expression_names"])
         data.setdefault("depth_valid", data["frontal"])
         _check_plausible(path, data)
-        return cls(**data)
+        appearance = Appearance.take(path, data)
+        return cls(**data, appearance=appearance)
 
 
 def _check_plausible(path: str | os.PathLike, data: dict) -> None:

@@ -342,6 +342,19 @@ class ShrinkWrapParameters(Stage):
 
 
 @dataclass(frozen=True)
+class RefinementParameters(Stage):
+    """Detected 2D features, refined by how the neutral looks around them; not in the paper."""
+
+    on: bool = parameter(True, "refine detected features where the neutral scan had colour", paper=False)
+    radius: float = parameter(6.0, "skin around a feature that is compared", unit="mm", low=2, high=15)
+    spacing: float = parameter(2.0, "distance between the samples of that skin", unit="mm", low=0.5, high=5)
+    deviation: float = parameter(1.2, "standard deviation of the detector's error", unit="mm", low=0.1, high=10, log=True)
+    alike: float = parameter(15.0, "distance over which the detector errs alike", unit="mm", low=1, high=100)
+    noise: float = parameter(4.0, "a patch fits no better than this", unit="grey levels", low=0.5, high=50, log=True)
+    rounds: int = parameter(3, "Gauss-Newton rounds at each blur", low=1, high=20)
+
+
+@dataclass(frozen=True)
 class Parameters(StageSet):
     """All stages; frozen, so that a run can be named by its parameters."""
 
@@ -350,6 +363,7 @@ class Parameters(StageSet):
     shrink_wrap: ShrinkWrapParameters = field(default_factory=ShrinkWrapParameters)
     depth: DepthParameters = field(default_factory=DepthParameters)
     rigid: RigidParameters = field(default_factory=RigidParameters)
+    refinement: RefinementParameters = field(default_factory=RefinementParameters)
     blendshapes: BlendshapeParameters = field(default_factory=BlendshapeParameters)
     kalman: KalmanParameters = field(default_factory=KalmanParameters)
     laplacian: LaplacianParameters = field(default_factory=LaplacianParameters)

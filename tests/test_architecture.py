@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
 #: From the ground up, as docs/architecture.md has them.
 FLOORS = (
-    ("errors", "blas", "npz", "stages", "parameters", "camera", "frame", "mesh", "rendering", "lab"),
+    ("errors", "blas", "npz", "stages", "parameters", "camera", "frame", "mesh", "rendering", "lab", "appearance"),
     ("face_model", "actor", "blendshapes"),
     ("synthetic", "sensors", "landmarks"),
     ("tracking",),
@@ -26,7 +26,7 @@ FLOORS = (
 )
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 #: What tracking may take: arrays go in and come out.
-TRACKING = {"actor", "camera", "frame", "mesh", "parameters", "errors", "blas"}
+TRACKING = {"actor", "appearance", "camera", "frame", "mesh", "parameters", "errors", "blas"}
 
 
 def place(path: Path) -> str:

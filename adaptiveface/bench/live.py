@@ -10,7 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,9 @@ from ..actor import Actor
 from ..errors import TrackingError
 from ..landmarks import FeatureDetector
 from ..live import FeatureFeed, LiveResult, LiveSession
+from ..neutral.appearance import gather_appearance
 from ..neutral.capture import build_actor
+from ..parameters import RefinementParameters
 from ..sensors.live import LiveSensor
 from ..sensors.playback import EXPRESSION_FRAMES, NEUTRAL_FRAMES, SyntheticDriver
 from ..synthetic.sensor import SyntheticSensor
@@ -53,11 +55,16 @@ class FastDriver(SyntheticDriver):
 
 
 def live_scene(make_driver=SyntheticDriver, frames: int = EXPRESSION_FRAMES) -> tuple[Actor, LiveSensor]:
-    """The rig of the bench's performer and a live sensor that shows them, rendered before it returns."""
+    """The rig of the bench's performer and a live sensor that shows them, rendered before it returns.
+
+    The rig knows its appearance, as after a neutral scan, so that its features are refined.
+    """
     source = SyntheticSensor(SEED, "structured-light", min(NEUTRAL_FRAMES, frames), frames, repeats=1)
     rendered: list = []
     sensor = LiveSensor(lambda: make_driver(source, rendered), open_timeout=600.0)
-    return build_actor(source.performer.model, source.performer.neutral), sensor
+    actor = build_actor(source.performer.model, source.performer.neutral)
+    views = ((source.read(index), source.ground_truth(index).rigid) for index in range(0, source.neutral_frames, 4))
+    return replace(actor, appearance=gather_appearance(actor, views, RefinementParameters())), sensor
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..actor import Actor
+from ..appearance import Appearance
 from ..blendshapes import deformation_transfer
 from ..errors import TrackingError
 from ..face_model import FaceModel, embedded_face_model
 from ..frame import RgbdFrame
 from ..parameters import Parameters
+from .appearance import gather_appearance
 from .features import FeatureConstraints, calibrated_features, constraints_on
 from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
@@ -68,8 +70,16 @@ def capture_neutral(
     constraints = constraints_on(scan, model, wrap.vertices)
     places = calibrated_features(constraints, model, wrap.vertices, parameters.shrink_wrap.feature_shift)
     actor = replace(actor, feature_triangles=places[0], feature_weights=places[1])
+    if constraints.trust < 1.0:  # detected, with errors of their own
+        actor = replace(actor, appearance=_appearance(actor, frames, scan, parameters))
     report("blendshapes", 1.0)
     return NeutralCapture(scan, fit, wrap, constraints, actor)
+
+
+def _appearance(actor: Actor, frames: Sequence[RgbdFrame], scan: FusedScan, parameters: Parameters) -> Appearance | None:
+    """How the neutral looks in the frames of the scan, which are read again: their colour was not kept."""
+    views = ((frames[number], pose) for number, pose in zip(scan.frames, scan.poses, strict=True))
+    return gather_appearance(actor, views, parameters.refinement)
 
 
 def build_actor(model: FaceModel, neutral: np.ndarray, scan: FusedScan | None = None, identity=None) -> Actor:

@@ -125,7 +125,7 @@ def calibrated_features(
     home = surface_points(vertices, feature_triangles, model.feature_weights)
     samples = _barycentric_grid(8)
     for f in np.flatnonzero(constraints.seen):
-        near = _patch(triangles, vertices, feature_triangles[f], home[f], limit)
+        near = surface_patch(triangles, vertices, feature_triangles[f], home[f], limit)
         points = np.einsum("sk,tkd->tsd", samples, vertices[near])
         away = ((points - home[f]) ** 2).sum(axis=2)
         energy = np.einsum("tsi,ij,tsj->ts", points, constraints.A[f], points) - 2 * points @ constraints.b[f]
@@ -137,7 +137,7 @@ def calibrated_features(
     return triangles_out, weights_out
 
 
-def _patch(triangles, vertices, start, home, limit) -> np.ndarray:
+def surface_patch(triangles, vertices, start, home, limit) -> np.ndarray:
     """Triangles (t, 3) connected to the ``start`` triangle within ``limit`` mm: never the other lip."""
     close = ((vertices - home) ** 2).sum(axis=1) <= limit**2
     reached = np.zeros(len(vertices), bool)

@@ -48,7 +48,8 @@ def put_where(tracker: FaceTracker, other: FaceTracker) -> FaceTracker:
     Both need the same number of expressions. Costs nothing, unlike :func:`retuned`, which may factorise matrices.
     """
     out = snapshot(tracker)
-    out.pose, out._x, out._v1, out._deformation = other.pose, other._x, other._v1, other._deformation
+    out.pose, out._x, out._v1, out._v4 = other.pose, other._x, other._v1, other._v4
+    out._deformation = other._deformation
     if tracker.parameters.kalman == other.parameters.kalman:
         out.kalman = copy.copy(other.kalman)
     return out
@@ -68,6 +69,8 @@ def _retune_stages(out: FaceTracker, old: Parameters, new: Parameters) -> None:
         out.fit_with(BlendshapeFit(actor, new.blendshapes))
     elif old.rigid != new.rigid:
         out.fit_with(out.blendshapes)
+    if old.refinement != new.refinement:
+        out.refine_with(new)
     if old.kalman != new.kalman:
         out.kalman = CoefficientFilter(new.kalman)
 
@@ -78,6 +81,7 @@ def _with_expressions(tracker: FaceTracker, parameters: Parameters) -> FaceTrack
     count = min(len(tracker._x), len(out._x))
     out._x[:count] = tracker._x[:count]
     out.pose, out._v1, out._deformation = tracker.pose, out.blendshapes.shape(out._x), tracker._deformation
+    out._v4 = tracker._v4
     return out
 
 

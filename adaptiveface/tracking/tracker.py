@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from ..actor import Actor
-from ..frame import RgbdFrame
+from ..frame import Features2D, RgbdFrame
 from ..mesh import transform_points, vertex_normals
 from ..parameters import Parameters
 from .adaptive_pca import AdaptiveModel
@@ -16,11 +17,15 @@ from .depth_surface import DepthSurface, crop_window, depth_surface, find_corres
 from .detection import pose_from_features
 from .expression import BlendshapeFit
 from .feature_confidence import weigh_features
+from .feature_refinement import FeatureRefinement
 from .feature_rows import feature_rows, reprojection_errors
 from .kalman import CoefficientFilter
 from .laplacian import LaplacianDeformation, feature_term
 from .rigid import RigidFit, RigidTracker
 from .types import STAGE_NAMES, SampleState, TrackedFrame
+
+#: Weight, 1/mm^2, by which the mesh is bent to the coarsely refined features before they are refined finely.
+FOLLOW_WEIGHT = 3.0
 
 
 class FaceTracker:
@@ -46,8 +51,14 @@ class FaceTracker:
         self._may_match = actor.depth_valid[frontal]
         self._local = local = np.cumsum(frontal) - 1
         self._frontal_triangles = local[triangles[frontal[triangles].all(axis=1)]]
+        self.refine_with(p)
         self.fit_with(blendshapes)
         self.reset()
+
+    def refine_with(self, parameters: Parameters) -> None:
+        """Refine detected features by these parameters, if the actor's appearance is known."""
+        known = self.actor.appearance is not None and parameters.refinement.on
+        self.refinement = FeatureRefinement(self.actor, parameters.refinement) if known else None
 
     def fit_with(self, blendshapes: BlendshapeFit) -> None:
         """Use these blendshapes, and the rigid alignment of the vertices that they fit."""
@@ -66,7 +77,7 @@ class FaceTracker:
         """Forget where the head was; the next frame is searched by its 2D features."""
         self.pose: np.ndarray | None = None
         self._x = np.zeros_like(self._x)
-        self._v1 = self.actor.neutral
+        self._v1 = self._v4 = self.actor.neutral
         self._deformation = np.zeros((len(self._frontal), 3))
         self.kalman.reset()
 
@@ -80,6 +91,7 @@ class FaceTracker:
             self.forget()
             return self.untracked(frame, self._reason(frame), ms)
         with timed(ms, "preprocess"):
+            frame = self._refine_features(frame, rigid.pose)
             expected = transform_points(rigid.pose, self.blendshapes.feature_points(self._x))
             frame = weigh_features(frame, expected)
 
@@ -101,7 +113,8 @@ class FaceTracker:
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
 
-        self.pose, self._x, self._v1, self._deformation = pose, x, v1, deformation
+        self.pose, self._x, self._deformation = pose, x, deformation
+        self._v1, self._v4 = v1, v4
         anchor, adaptive = self.model.distances(self._displacement(v4))
         return TrackedFrame(
             frame.index,
@@ -161,6 +174,21 @@ class FaceTracker:
         window = crop_window(frame.camera, pixels, p.margin * frame.camera.fx / float(points[:, 2].mean()), p.crop)
         surface = depth_surface(frame.depth, frame.camera, window, p)
         return surface if surface.valid.any() else None
+
+    # ---- the 2D features, by the neutral's colours (not in the paper) ----------------------------------------------
+    def _refine_features(self, frame: RgbdFrame, pose: np.ndarray) -> RgbdFrame:
+        """The frame with refined features, where it has colour and the actor's appearance is known."""
+        features = frame.features
+        if self.refinement is None or frame.colour is None or features is None or features.valid.sum() < 6:
+            return frame
+
+        def follow(refined: Features2D, mesh: np.ndarray) -> np.ndarray:
+            """The mesh (N, 3) bent to the features alone, which all count alike."""
+            certain = replace(frame, features=replace(refined, confidence=np.ones(len(refined.confidence))))
+            term = self._feature_term(certain, pose, mesh, FOLLOW_WEIGHT, hold_depth=True)
+            return self._displace(mesh, self.final_deformation.deform_to_features(term))
+
+        return replace(frame, features=self.refinement.refine(frame, self._v4, pose, follow))
 
     # ---- sections 4.3, 4.4 and 5 -----------------------------------------------------------------------------------
     def _normals(self) -> np.ndarray:

@@ -1,0 +1,81 @@
+"""What the skin around each 2D feature looks like on the neutral: samples of the surface with their colours.
+
+The paper's features come from a detector alone. A detector like MediaPipe errs by a pixel in ways that follow the expression
+and the person; its own picture of the neutral tells where a point of the skin really went (``tracking/feature_refinement.py``).
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .errors import FileFormatError
+from .npz import Field
+
+#: Gaussian blurs, px, from coarse to fine: the first reaches farther, the last is more exact.
+BLURS = (1.5, 0.0)
+#: Difference of colour shares that counts as much as one grey level of brightness, inverted.
+CHROMA = 300.0
+
+
+#: What ``actor.npz`` holds of it.
+FIELDS = {
+    "appearance_triangles": Field(("Q", 3), "iu", optional=True),
+    "appearance_weights": Field(("Q", 3), optional=True),
+    "appearance_feature": Field(("Q",), "iu", optional=True),
+    "appearance_colours": Field((len(BLURS), "Q", 3), optional=True),
+}
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """Samples on the surface around the features, sorted by feature.
+
+    triangles (Q, 3) vertex numbers and weights (Q, 3): where each sample sits; feature (Q,): the feature it belongs to;
+    colours (2, Q, 3): its :func:`channels` on the neutral, at each of ``BLURS``.
+    """
+
+    triangles: np.ndarray
+    weights: np.ndarray
+    feature: np.ndarray
+    colours: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.feature)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What is saved, by the names in ``FIELDS``."""
+        return {name: getattr(self, name.removeprefix("appearance_")) for name in FIELDS}
+
+    @classmethod
+    def take(cls, path: str | os.PathLike, data: dict[str, np.ndarray]) -> Appearance | None:
+        """Take :meth:`arrays` out of what was read from ``path``; None where they are missing.
+
+        Raises :class:`FileFormatError` when some are missing or describe no samples of 40 features.
+        """
+        arrays = {name.removeprefix("appearance_"): data.pop(name) for name in FIELDS if name in data}
+        if not arrays:
+            return None
+        if len(arrays) < len(FIELDS):
+            raise FileFormatError(f"{path}: of {', '.join(FIELDS)} some are missing; all or none are expected")
+        feature = arrays["feature"]
+        if len(feature) == 0 or (np.diff(feature.astype(int)) < 0).any() or feature[0] < 0 or feature[-1] >= 40:
+            raise FileFormatError(f"{path}: 'appearance_feature' must hold numbers from 0 to 39 in ascending order")
+        return cls(**arrays)
+
+
+def channels(picture: np.ndarray, blur: float) -> np.ndarray:
+    """(H, W, 3) float32 of an RGB picture (H, W, 3): brightness, and two differences of the colours' shares.
+
+    The shares do not depend on the light: lips stay redder than skin where a shadow falls.
+    """
+    rgb = picture.astype(np.float32)
+    if blur:
+        rgb = cv2.GaussianBlur(rgb, (0, 0), blur)
+    red, green, blue = rgb[..., 0], rgb[..., 1], rgb[..., 2]
+    total = (red + green + blue + 12.0) / CHROMA  # 12: a dark pixel's shares are noise
+    brightness = 0.3 * red + 0.59 * green + 0.11 * blue
+    return np.stack([brightness, (red - green) / total, (green - blue) / total], axis=-1)

@@ -1,0 +1,77 @@
+"""How the skin around the 2D features looks, gathered from the colour pictures of the neutral scan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+
+from ..actor import Actor
+from ..appearance import BLURS, Appearance, channels
+from ..frame import RgbdFrame
+from ..mesh import surface_points, transform_points, vertex_normals
+from ..parameters import RefinementParameters
+from .features import surface_patch
+
+#: Cosine between skin and viewing ray from which on a picture counts at all.
+MIN_COSINE = 0.3
+#: A sample needs as much as one view in which it faces the camera by this cosine.
+_SEEN = 0.5
+
+
+def gather_appearance(
+    actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], parameters: RefinementParameters
+) -> Appearance | None:
+    """The neutral's :class:`Appearance` from frames with colour and their head-to-camera poses (4, 4).
+
+    Every picture counts by the fourth power of how far the skin is turned to it, so that the frontal ones decide and nothing
+    is blurred by slanted ones. None when no frame has colour.
+    """
+    triangles, weights, feature = _samples(actor, parameters.radius, parameters.spacing)
+    points = surface_points(actor.neutral, triangles, weights)
+    normals = surface_points(vertex_normals(actor.neutral, actor.triangles), triangles, weights)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    colours, total = np.zeros((len(BLURS), len(points), 3)), np.zeros(len(points))
+    for frame, pose in views:
+        if frame.colour is None:
+            continue
+        seen = transform_points(pose, points)
+        cosine = -((normals @ pose[:3, :3].T) * seen).sum(axis=1) / np.linalg.norm(seen, axis=1)
+        weight = np.clip(cosine - MIN_COSINE, 0.0, None) ** 4
+        at = frame.camera.project(seen).astype(np.float32)[:, None]
+        total += weight
+        for sums, blur in zip(colours, BLURS, strict=True):
+            sums += weight[:, None] * cv2.remap(channels(frame.colour, blur), at, None, cv2.INTER_LINEAR)[:, 0]
+    kept = total > (_SEEN - MIN_COSINE) ** 4
+    if not kept.any():
+        return None
+    return Appearance(triangles[kept], weights[kept], feature[kept], colours[:, kept] / total[kept, None])
+
+
+def _samples(actor: Actor, radius: float, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles (Q, 3), weights (Q, 3) and feature (Q,) of samples about ``spacing`` apart around every feature, mm.
+
+    Only skin that is connected with the feature within ``radius``: never the other lip.
+    """
+    vertices, frontal = actor.neutral, actor.triangles[actor.frontal[actor.triangles].all(axis=1)]
+    homes = surface_points(vertices, actor.feature_triangles, actor.feature_weights)
+    triangles, weights, feature = [], [], []
+    for f, home in enumerate(homes):
+        for corners in surface_patch(frontal, vertices, actor.feature_triangles[f], home, radius):
+            a, b, c = vertices[corners]
+            size = np.sqrt(np.linalg.norm(np.cross(b - a, c - a)))
+            shares = _inner_grid(max(1, int(np.ceil(size / spacing))))
+            shares = shares[np.linalg.norm(shares @ vertices[corners] - home, axis=1) <= radius]
+            triangles.append(np.repeat(corners[None], len(shares), axis=0))
+            weights.append(shares)
+            feature.append(np.full(len(shares), f, np.int32))
+    return np.concatenate(triangles), np.concatenate(weights), np.concatenate(feature)
+
+
+def _inner_grid(steps: int) -> np.ndarray:
+    """(steps (steps + 1) / 2, 3) evenly spread barycentric weights inside a triangle."""
+    i, j = np.meshgrid(np.arange(steps), np.arange(steps), indexing="ij")
+    inside = i + j < steps
+    i, j = i[inside] + 1 / 3, j[inside] + 1 / 3
+    return np.stack([i, j, steps - i - j], axis=1) / steps

@@ -1,0 +1,219 @@
+"""Detected 2D features moved to where the picture shows the skin that they sat on in the neutral.
+
+A detector's error follows the expression and the person, and is alike at neighbouring features; no weight takes it out.
+Around each feature the neutral's colours are known (:class:`Appearance`), and last frame's mesh says how the skin is bent
+now. Wanted are the shifts d_f (px) of the patches that minimise
+
+    sum_f sum_q |I(p_q + d_f) - g_f T_q - o_f|^2 / s_f^2  +  (d - d0)^T S^-1 (d - d0)
+
+Lucas & Kanade 1981, with a gain g and an offset o of the brightness (Baker & Matthews 2004, part 3), on the colours T of
+the neutral; d0 is where the detector sees the features, and S its errors' covariance, which lets a corner of the mouth
+help the lip beside it. A patch that does not match has a large s_f, and follows its neighbours and the detector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numba
+import numpy as np
+
+from ..actor import Actor
+from ..appearance import BLURS, channels
+from ..camera import Camera
+from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
+from ..mesh import surface_points, transform_points
+from ..parameters import RefinementParameters
+
+#: Cosine between skin and viewing ray: a sample does not count below the first, and fully from the second on.
+FACING = (0.35, 0.65)
+#: Share of the detector's variance that is a feature's own; the rest is alike at its neighbours.
+OWN_SHARE = 0.15
+#: Deviations of a patch's gain and offset (grey levels) from one and zero.
+GAIN, OFFSET = 0.3, 20.0
+#: The residuals of so many neighbouring pixels count as one: what a patch cannot explain is no white noise.
+CORRELATED = 2.0
+#: px: longest step of a round, and border around the features in which the picture is prepared.
+_LONGEST, _BORDER = 1.5, 40
+#: Variance, px^2, that no picture takes out of a feature: the mesh itself is a little off.
+_FLOOR = 0.1
+
+#: Moves the mesh (N, 3) so that its features lie at the given ones.
+Follow = Callable[[Features2D, np.ndarray], np.ndarray]
+
+
+class FeatureRefinement:
+    """Refines the detected features of one actor, who has an ``appearance``."""
+
+    def __init__(self, actor: Actor, parameters: RefinementParameters) -> None:
+        self.actor, self.parameters = actor, parameters
+        look = actor.appearance
+        self._starts = np.searchsorted(look.feature, np.arange(len(actor.feature_triangles) + 1))
+        homes = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)
+        away = np.linalg.norm(surface_points(actor.neutral, look.triangles, look.weights) - homes[look.feature], axis=1)
+        self._nearness = np.exp(-0.5 * (away / (0.6 * parameters.radius)) ** 2)
+        self._area = _areas(actor.neutral, look.triangles, look.feature)
+        self._covariance = _error_covariance(actor, parameters)
+
+    def refine(self, frame: RgbdFrame, mesh: np.ndarray, pose: np.ndarray, follow: Follow) -> Features2D:
+        """The frame's features at their refined pixels, each with the confidence that the picture gives it.
+
+        mesh (N, 3): the head as it was last, in its own frame; pose (4, 4) head to camera; ``follow`` bends it to the
+        features of the coarse pass, before the fine one.
+        """
+        found = frame.features
+        seen = np.flatnonzero(found.valid)
+        u, v = np.maximum(found.bounding_box[:2].astype(int) - _BORDER, 0)
+        right, bottom = found.bounding_box[2:].astype(int) + _BORDER
+        picture, corner = frame.colour[v:bottom, u:right], np.array([u, v], float)
+        depth = float(transform_points(pose, self.actor.neutral[self.actor.feature_vertices])[:, 2].mean())
+        covariance = self._covariance[np.ix_(seen, seen)] * (frame.camera.fx / depth) ** 2
+        precision = np.linalg.inv(covariance)
+        features = found
+        for level, blur in enumerate(BLURS):
+            if level:
+                mesh = follow(features, mesh)
+            patches = self._patches(mesh, pose, frame.camera, corner, level)
+            pixels, variance = self._shift(patches, channels(picture, blur), found, features, precision, seen)
+            features = Features2D(pixels, found.confidence)
+        gained = (np.diag(covariance) + _FLOOR) / (variance + _FLOOR)
+        confidence = found.confidence.copy()
+        confidence[seen] = np.minimum(confidence[seen] * gained, 1.0)
+        return Features2D(pixels, confidence)
+
+    def _patches(self, mesh, pose, camera: Camera, corner: np.ndarray, level: int) -> _Patches:
+        """The samples as the mesh carries them, in pixels of the cut-out picture."""
+        look, actor = self.actor.appearance, self.actor
+        mesh = transform_points(pose, mesh)
+        points, facing = _carry(mesh, look.triangles, look.weights)
+        weights = self._nearness * np.clip((facing - FACING[0]) / (FACING[1] - FACING[0]), 0.0, 1.0)
+        # A sample counts as the independent pixels that it stands for, at most as one.
+        weights *= np.minimum(self._area * (camera.fx / points[:, 2]) ** 2, 1.0) / CORRELATED
+        homes = camera.project(surface_points(mesh, actor.feature_triangles, actor.feature_weights))
+        return _Patches(homes, camera.project(points) - corner, weights, look.colours[level], self._starts)
+
+    def _shift(self, patches, picture, found, features, precision, seen) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton on the shifts: pixels (40, 2) of the features, and the variance (f,) px^2 that is left of each."""
+        count = len(patches.homes)
+        detected, shift = found.pixels - patches.homes, features.pixels - patches.homes
+        light = np.tile([1.0, 0.0], (count, 1))
+        gradients = [cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1))]
+        size, floor = len(seen), self.parameters.noise**2
+        for _ in range(self.parameters.rounds):
+            moved = np.where(np.isfinite(shift), shift, 0.0)
+            h, g = _normal_equations(picture, *gradients, *patches.arrays, moved, light, floor)
+            h, g = h[seen], g[seen]
+            h[:, (2, 3), (2, 3)] += [GAIN**-2, OFFSET**-2]
+            g[:, 2:] += ([1.0, 0.0] - light[seen]) * [GAIN**-2, OFFSET**-2]
+            solved = np.linalg.solve(h[:, 2:, 2:], np.concatenate([h[:, 2:, :2], g[:, 2:, None]], axis=2))
+            reduced = h[:, :2, :2] - h[:, :2, 2:] @ solved[:, :, :2]
+            right = g[:, :2] - (h[:, :2, 2:] @ solved[:, :, 2:])[..., 0]
+            whole = np.zeros((size, 2, size, 2))
+            whole[np.arange(size), :, np.arange(size)] = reduced
+            whole[:, (0, 1), :, (0, 1)] += precision
+            whole = whole.reshape(2 * size, 2 * size)
+            right += precision @ (detected - shift)[seen]
+            step = np.clip(np.linalg.solve(whole, right.ravel()).reshape(size, 2), -_LONGEST, _LONGEST)
+            light[seen] += solved[:, :, 2] - np.einsum("fij,fj->fi", solved[:, :, :2], step)
+            shift[seen] += step
+        variance = np.diag(np.linalg.inv(whole)).reshape(size, 2).mean(axis=1)
+        return patches.homes + shift, variance
+
+
+class _Patches:
+    """The samples of all features in one frame: ``arrays`` for the kernel, ``homes`` (40, 2) px of the features."""
+
+    def __init__(self, homes, pixels, weights, colours, starts) -> None:
+        self.homes, self.arrays = homes, (pixels, weights, colours, starts)
+
+
+def _areas(vertices: np.ndarray, triangles: np.ndarray, feature: np.ndarray) -> np.ndarray:
+    """(Q,) mm^2 of skin that each sample stands for: its triangle's, shared by the samples of its feature there."""
+    _, which, count = np.unique(np.column_stack([triangles, feature]), axis=0, return_inverse=True, return_counts=True)
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) / count[which.ravel()]
+
+
+def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndarray:
+    """(40, 40) mm^2: errors of the detector are alike at neighbouring features of a region (measured: 0.9 at the next).
+
+    Lips that touch in the neutral err each in its own way: distances are taken with the jaw open, where the rig has that.
+    """
+    shape = actor.neutral
+    if "jawOpen" in actor.expression_names:
+        shape = shape + actor.blendshapes[actor.expression_names.index("jawOpen")]
+    places = surface_points(shape, actor.feature_triangles, actor.feature_weights)
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    alike = np.exp(-0.5 * (distance / parameters.alike) ** 2) * (FEATURE_REGIONS[:, None] == FEATURE_REGIONS)
+    return parameters.deviation**2 * ((1.0 - OWN_SHARE) * alike + OWN_SHARE * np.eye(len(places)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _carry(mesh, triangles, weights):
+    """Samples on a mesh (N, 3) in the camera frame: points (Q, 3), and the cosine between skin and viewing ray (Q,)."""
+    points, facing = np.empty((len(triangles), 3)), np.empty(len(triangles))
+    for q in range(len(triangles)):
+        a, b, c = triangles[q]
+        for k in range(3):
+            points[q, k] = weights[q, 0] * mesh[a, k] + weights[q, 1] * mesh[b, k] + weights[q, 2] * mesh[c, k]
+        along, normal, distance = 0.0, 0.0, 0.0
+        for k in range(3):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            n = (mesh[b, i] - mesh[a, i]) * (mesh[c, j] - mesh[a, j]) - (mesh[b, j] - mesh[a, j]) * (mesh[c, i] - mesh[a, i])
+            along, normal, distance = along + n * points[q, k], normal + n * n, distance + points[q, k] ** 2
+        facing[q] = -along / max(np.sqrt(normal * distance), 1e-9)
+    return points, facing
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal_equations(picture, gradient_u, gradient_v, pixels, weights, colours, starts, shift, light, floor):
+    """Of every patch f: H (F, 4, 4) and g (F, 4) in (shift u, shift v, gain, offset), samples with Cauchy's weights.
+
+    A channel's scale is its weighted mean square residual in the patch, at least ``floor``.
+    """
+    count, (height, width) = len(starts) - 1, picture.shape[:2]
+    h, g = np.zeros((count, 4, 4)), np.zeros((count, 4))
+    longest = 0
+    for f in range(count):
+        longest = max(longest, starts[f + 1] - starts[f])
+    values, row = np.empty((longest, 3, 3)), np.empty(4)
+    for f in range(count):
+        total, scale = 0.0, np.zeros(3)
+        for q in range(starts[f], starts[f + 1]):
+            if weights[q] == 0.0:
+                continue
+            x = min(max(pixels[q, 0] + shift[f, 0], 0.0), width - 1.001)
+            y = min(max(pixels[q, 1] + shift[f, 1], 0.0), height - 1.001)
+            i, j = int(y), int(x)
+            b, a = y - i, x - j
+            out = values[q - starts[f]]
+            for c in range(3):
+                for k in range(3):
+                    image = picture if k == 0 else gradient_u if k == 1 else gradient_v
+                    out[k, c] = (1 - b) * ((1 - a) * image[i, j, c] + a * image[i, j + 1, c]) + b * (
+                        (1 - a) * image[i + 1, j, c] + a * image[i + 1, j + 1, c]
+                    )
+                gain, offset = (light[f, 0], light[f, 1]) if c == 0 else (1.0, 0.0)
+                out[0, c] -= gain * colours[q, c] + offset
+                scale[c] += weights[q] * out[0, c] ** 2
+            total += weights[q]
+        if total == 0.0:
+            continue
+        for c in range(3):
+            scale[c] = max(scale[c] / total, floor)
+        for q in range(starts[f], starts[f + 1]):
+            if weights[q] == 0.0:
+                continue
+            out = values[q - starts[f]]
+            for c in range(3):
+                residual = out[0, c]
+                weight = weights[q] / (scale[c] + 0.25 * residual**2)
+                lit = c == 0
+                row[0], row[1] = out[1, c], out[2, c]
+                row[2], row[3] = (-colours[q, c], -1.0) if lit else (0.0, 0.0)
+                for k in range(4):
+                    g[f, k] -= weight * row[k] * residual
+                    for m in range(4):
+                        h[f, k, m] += weight * row[k] * row[m]
+    return h, g
