@@ -4,9 +4,14 @@
     python data_synth/evaluate_features.py --seeds 3 12 --cache /tmp/f  # while developing: seeds below 100
 
 Each performer's colour pictures are rendered and searched by MediaPipe. The face is captured and tracked twice on the
-same depth frames: with the detected features, and with the exact pixels of the truth (hidden ones left out). Figures of
-v4 are in mm, on the second performance of the script, but for the active share. Exit status 1 when the mean over the
-performers of any figure is more than 25 % worse with detected features.
+same depth frames: with the detected features (refined by the pictures, unless --set refinement.on=false), and with the
+exact pixels of the truth (hidden ones left out). Figures of v4 are in mm, on the second performance of the script, but for
+the active share.
+
+Two tables: motion errors as everywhere, with the actor's head laid onto the true one by the vertices of both neutrals; and
+with the head where the frames of the resting face were tracked, since only then vertices that slid along the skin of the
+forehead or the cheeks in the neutral do not count at the lips (``metrics.tracked_alignment``). Exit status 1 when, by the
+second, the mean over the performers of any figure is more than 25 % worse with detected features.
 """
 
 from __future__ import annotations
@@ -22,7 +27,8 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from performer_runs import run_parser, run_performers, write_json  # noqa: E402
 
-from adaptiveface.evaluation import REPEAT, ErrorCollector  # noqa: E402
+from adaptiveface.actor import Actor  # noqa: E402
+from adaptiveface.evaluation import REPEAT, ErrorCollector, tracked_alignment  # noqa: E402
 from adaptiveface.frame import FEATURE_REGIONS, Features2D, RgbdFrame  # noqa: E402
 from adaptiveface.landmarks import FeatureDetector  # noqa: E402
 from adaptiveface.neutral.capture import capture_actor  # noqa: E402
@@ -32,6 +38,8 @@ from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 
 REPORTING_SEEDS = (1000, 1001, 1002)
 GROUPS = ("lips", "eyes", "brows")
+#: By what the actor's head is laid onto the true one; the last one is judged.
+PLACEMENTS = ("all vertices", "the neutral frames")
 FIGURES = ("surface_p95", "active_share", "lips", "eyes", "brows")
 #: v4 with detected features may be this much worse than with exact ones.
 TOLERANCE = 0.25
@@ -50,16 +58,18 @@ class Frames:
         kept = None if self.folder is None else self.folder / f"{index}.npz"
         if kept is not None and kept.exists():
             data = np.load(kept, allow_pickle=False)
-            depth, pairs = data["depth"], {name: Features2D(*_split(data[name])) for name in ("exact", "detected")}
+            depth, colour = data["depth"], data["colour"]
+            pairs = {name: Features2D(*_split(data[name])) for name in ("exact", "detected")}
         else:
             frame = self.sensor.read(index)
             detected = self.detector.detect(frame)
             unseen = Features2D(np.full((40, 2), np.nan), np.zeros(40))
-            depth, pairs = frame.depth, {"exact": frame.features, "detected": detected or unseen}
+            depth, colour = frame.depth, frame.colour
+            pairs = {"exact": frame.features, "detected": detected or unseen}
             if kept is not None:
                 tables = {name: np.column_stack([f.pixels, f.confidence]) for name, f in pairs.items()}
-                np.savez_compressed(kept, depth=depth, **tables)
-        plain = RgbdFrame(depth, self.sensor.camera, None, index, index / self.sensor.fps)
+                np.savez_compressed(kept, depth=depth, colour=colour, **tables)
+        plain = RgbdFrame(depth, self.sensor.camera, colour, index, index / self.sensor.fps)
         return {name: dataclasses.replace(plain, features=features) for name, features in pairs.items()}
 
 
@@ -76,21 +86,43 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
     runs = {}
     for name in ("exact", "detected"):
         actor = capture_actor([pair[name] for pair in scan], parameters=parameters)
-        runs[name] = (FaceTracker(actor, parameters), ErrorCollector(sensor, actor, ("v4",)))
+        runs[name] = Run(sensor, actor, parameters, neutral)
     errors, found = [], 0
     for index in range(len(sensor)):
         pair = frames[index]
-        for name, (tracker, collector) in runs.items():
-            tracked = tracker.track(pair[name])
-            if index >= neutral and index % options["stride"] == 0:
-                collector.add(tracked)
+        for name, run in runs.items():
+            run.add(pair[name], scored=index % options["stride"] == 0)
         found += pair["detected"].features.valid.any()
         if index >= neutral:
             errors.append(np.where(pair["exact"].features.valid[:, None], _error(pair), np.nan))
     row = dict(seed=seed, noise=noise, found=found / len(sensor), pixels=pixel_errors(np.array(errors)))
-    for name, (_, collector) in runs.items():
-        row[name] = collector.finish().summary("v4", REPEAT)
+    for name, run in runs.items():
+        row[name] = {by: collector.finish().summary("v4", REPEAT) for by, collector in run.collectors.items()}
     return row
+
+
+class Run:
+    """One actor tracked through the performance, scored by either placement of the head: ``collectors``."""
+
+    def __init__(self, sensor: SyntheticSensor, actor: Actor, parameters: Parameters, neutral: int) -> None:
+        self.sensor, self.actor, self.neutral = sensor, actor, neutral
+        self.tracker, self.poses = FaceTracker(actor, parameters), []
+        self.collectors: dict[str, ErrorCollector] = {}
+
+    def add(self, frame: RgbdFrame, scored: bool) -> None:
+        """Track the next frame: of the neutral, to learn where the head is placed, then of the performance."""
+        tracked = self.tracker.track(frame)
+        if frame.index < self.neutral:
+            if tracked.tracked:
+                self.poses.append((tracked.rigid, self.sensor.ground_truth(frame.index).rigid))
+            return
+        if not self.collectors:
+            placed = tracked_alignment(*(np.array(poses) for poses in zip(*self.poses, strict=True)))
+            for by, alignment in zip(PLACEMENTS, (None, placed), strict=True):
+                self.collectors[by] = ErrorCollector(self.sensor, self.actor, ("v4",), alignment)
+        if scored:
+            for collector in self.collectors.values():
+                collector.add(tracked)
 
 
 def _error(pair: dict[str, RgbdFrame]) -> np.ndarray:
@@ -125,17 +157,19 @@ def report(rows: list[dict]) -> tuple[str, bool]:
     for group in (*GROUPS, "all"):
         means = (np.mean([row["pixels"][group][name] for row in rows]) for name in names)
         lines.append(f"{group:<32}" + "".join(f"{value:>11.2f}" for value in means))
-    lines += ["", f"{'v4, exact / detected':<26}" + "".join(f"{name:>23}" for name in FIGURES) + "   found"]
-    total = []
-    for row in rows:
-        pairs = [(row["exact"][name], row["detected"][name]) for name in FIGURES]
-        total.append(pairs)
-        lines.append(f"{row['seed']} {row['noise']:<20}" + _cells(pairs) + f"{row['found']:>8.1%}")
-    mean = np.mean(total, axis=0)
-    lines.append(f"{'mean':<26}" + _cells(mean))
-    worst = max(b / a - 1 for a, b in mean)
+    for by in PLACEMENTS:
+        heads = "".join(f"{name:>23}" for name in FIGURES)
+        lines += ["", f"v4, exact / detected; head placed by {by}", " " * 26 + heads + "   found"]
+        total = []
+        for row in rows:
+            pairs = [(row["exact"][by][name], row["detected"][by][name]) for name in FIGURES]
+            total.append(pairs)
+            lines.append(f"{row['seed']} {row['noise']:<20}" + _cells(pairs) + f"{row['found']:>8.1%}")
+        mean = np.mean(total, axis=0)
+        lines.append(f"{'mean':<26}" + _cells(mean))
+    worst, name = max((b / a - 1, name) for (a, b), name in zip(mean, FIGURES, strict=True))
     holds = worst <= TOLERANCE
-    lines.append(f"{'pass' if holds else 'FAIL'}  detected at most {TOLERANCE:.0%} worse than exact: {worst:.0%}")
+    lines.append(f"{'pass' if holds else 'FAIL'}  detected at most {TOLERANCE:.0%} worse than exact: {name} {worst:+.0%}")
     return "\n".join(lines), holds
 
 

@@ -12,6 +12,7 @@ from .metrics import (
     pose_error,
     split_by_normal,
     surface_distance,
+    tracked_alignment,
     true_motion,
 )
 from .regions import REGIONS, actor_regions, region_masks
@@ -22,5 +23,5 @@ __all__ = [
     "ACTIVE_MOTION", "FIRST", "NEUTRAL", "PERFORMANCE_NAMES", "REGIONS", "REPEAT", "STAGES", "ErrorCollector",
     "Evaluation", "GroundTruth", "TrueSurface", "TruthFrame", "active_share", "actor_regions", "evaluate_run",
     "motion_error", "neutral_alignment", "pose_error", "region_masks", "split_by_normal",
-    "surface_distance", "true_motion",
+    "surface_distance", "tracked_alignment", "true_motion",
 ]  # fmt: skip

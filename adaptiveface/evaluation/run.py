@@ -122,12 +122,14 @@ class Evaluation:
 class ErrorCollector:
     """Takes tracked frames one by one, so that a run can be scored while it is tracked and no mesh is kept.
 
-    ``truth`` as for :meth:`GroundTruth.of`; ``actor`` the rig that was tracked with; ``stages`` of ``STAGES``.
+    ``truth`` as for :meth:`GroundTruth.of`; ``actor`` the rig that was tracked with; ``stages`` of ``STAGES``;
+    ``alignment`` (4, 4) from the actor's head frame to the true one, by default :func:`metrics.neutral_alignment`.
     """
 
     truth: GroundTruth
     actor: Actor
     stages: tuple[str, ...] = STAGES
+    alignment: np.ndarray | None = None
     _rows: list = field(default_factory=list, repr=False)
     _lost: dict = field(default_factory=lambda: {NEUTRAL: 0, FIRST: 0, REPEAT: 0}, repr=False)
 
@@ -140,7 +142,8 @@ class ErrorCollector:
             )
         self.frontal = self.actor.frontal.astype(bool)
         self.scored = self.frontal & self.actor.depth_valid.astype(bool)
-        self.alignment = metrics.neutral_alignment(self.actor.neutral, self.truth.neutral, self.frontal)
+        if self.alignment is None:
+            self.alignment = metrics.neutral_alignment(self.actor.neutral, self.truth.neutral, self.frontal)
         self.centre = self.truth.neutral[self.frontal].mean(axis=0)
 
     def add(self, frame: TrackedFrame) -> None:
