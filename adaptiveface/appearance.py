@@ -17,8 +17,12 @@ from .npz import Field
 
 #: Gaussian blurs, px, from coarse to fine: the first reaches farther, the last is more exact.
 BLURS = (1.5, 0.0)
-#: Difference of colour shares that counts as much as one grey level of brightness, inverted.
+#: Brightness is taken against its surroundings, this blur in px: smooth shading moves over a turning head.
+SURROUNDINGS = 4.0
+#: How many units of a channel the whole of a colour share is; of brightness, one unit is one percent.
 CHROMA = 300.0
+#: Grey levels below which a difference is noise.
+_DARK = 8.0
 
 
 #: What ``actor.npz`` holds of it.
@@ -68,14 +72,16 @@ class Appearance:
 
 
 def channels(picture: np.ndarray, blur: float) -> np.ndarray:
-    """(H, W, 3) float32 of an RGB picture (H, W, 3): brightness, and two differences of the colours' shares.
+    """(H, W, 3) float32 of an RGB picture (H, W, 3): brightness in percent of what is around, and two colour differences.
 
-    The shares do not depend on the light: lips stay redder than skin where a shadow falls.
+    Neither depends much on the light: lips stay redder than skin where a shadow falls. On the real mannequin's turn plain
+    brightness pulled the lips along with the shading (median 0.97 px; so 0.84; the detector's own 1.20).
     """
     rgb = picture.astype(np.float32)
     if blur:
         rgb = cv2.GaussianBlur(rgb, (0, 0), blur)
     red, green, blue = rgb[..., 0], rgb[..., 1], rgb[..., 2]
-    total = (red + green + blue + 12.0) / CHROMA  # 12: a dark pixel's shares are noise
-    brightness = 0.3 * red + 0.59 * green + 0.11 * blue
-    return np.stack([brightness, (red - green) / total, (green - blue) / total], axis=-1)
+    total = (red + green + blue + _DARK) / CHROMA
+    brightness = 0.3 * red + 0.59 * green + 0.11 * blue + _DARK
+    contrast = 100.0 * np.log(brightness / cv2.GaussianBlur(brightness, (0, 0), SURROUNDINGS))
+    return np.stack([contrast, (red - green) / total, (green - blue) / total], axis=-1)

@@ -348,9 +348,9 @@ class RefinementParameters(Stage):
     on: bool = parameter(True, "refine detected features where the neutral scan had colour", paper=False)
     radius: float = parameter(6.0, "skin around a feature that is compared", unit="mm", low=2, high=15)
     spacing: float = parameter(2.0, "distance between the samples of that skin", unit="mm", low=0.5, high=5)
-    deviation: float = parameter(1.2, "standard deviation of the detector's error", unit="mm", low=0.1, high=10, log=True)
+    deviation: float = parameter(0.9, "standard deviation of the detector's error", unit="mm", low=0.1, high=10, log=True)
     alike: float = parameter(15.0, "distance over which the detector errs alike", unit="mm", low=1, high=100)
-    noise: float = parameter(4.0, "a patch fits no better than this", unit="grey levels", low=0.5, high=50, log=True)
+    noise: float = parameter(4.0, "a patch fits no better than this", unit="%", low=0.5, high=50, log=True)
     rounds: int = parameter(3, "Gauss-Newton rounds at each blur", low=1, high=20)
 
 

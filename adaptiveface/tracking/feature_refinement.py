@@ -30,14 +30,14 @@ from ..parameters import RefinementParameters
 FACING = (0.35, 0.65)
 #: Share of the detector's variance that is a feature's own; the rest is alike at its neighbours.
 OWN_SHARE = 0.15
-#: Deviations of a patch's gain and offset (grey levels) from one and zero.
+#: Deviations of the gain and the offset (percent) of a patch's brightness from one and zero.
 GAIN, OFFSET = 0.3, 20.0
 #: The residuals of so many neighbouring pixels count as one: what a patch cannot explain is no white noise.
-CORRELATED = 2.0
+CORRELATED = 3.0
 #: px: longest step of a round, and border around the features in which the picture is prepared.
 _LONGEST, _BORDER = 1.5, 40
 #: Variance, px^2, that no picture takes out of a feature: the mesh itself is a little off.
-_FLOOR = 0.1
+_FLOOR = 0.2
 
 #: Moves the mesh (N, 3) so that its features lie at the given ones.
 Follow = Callable[[Features2D, np.ndarray], np.ndarray]
