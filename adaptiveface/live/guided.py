@@ -7,7 +7,7 @@ features; no thread, no view, under 3 ms a frame.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class GuidedCapture:
     # ---- what a view shows -----------------------------------------------------------------------------------------
     @property
     def frames(self) -> list[RgbdFrame]:
-        """The frames to build from, in order, without colour: the clean ones where there are enough."""
+        """The frames to build from, in order: the clean ones where there are enough."""
         clean = [kept.frame for kept in self._kept if kept.clean]
         chosen = clean if len(clean) >= MIN_FRAMES else [kept.frame for kept in self._kept]
         return sorted(chosen, key=lambda frame: frame.index)
@@ -207,7 +207,7 @@ class GuidedCapture:
             self._level.append(pitch)
         level = float(np.median(self._level)) if self._level else pitch
         cell = (round(yaw / 6), round((pitch - level) / 5))
-        self._kept.append(_Kept(replace(frame, colour=None), face[0].worst + face[1], clean, cell))
+        self._kept.append(_Kept(frame, face[0].worst + face[1], clean, cell))
         if len(self._kept) > self.most:
             self._drop_one()
         self._count_views(frame)

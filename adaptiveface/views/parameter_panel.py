@@ -13,6 +13,7 @@ from .kernel import on_main_thread, shown_errors
 TITLES = {
     "fusion": "fusion (section 3)", "fit": "identity fit (section 3)", "shrink_wrap": "shrink-wrap (section 3)",
     "depth": "depth map (4.1)", "rigid": "rigid ICP (4.1)",
+    "refinement": "detected features",
     "blendshapes": "blendshape fit (4.2)",
     "kalman": "Kalman filter (4.2)", "laplacian": "Laplacian (4.3, 4.4)",
     "adaptive_pca": "adaptive PCA (5)",
