@@ -8,10 +8,10 @@ same depth frames: with the detected features (refined by the pictures, unless -
 exact pixels of the truth (hidden ones left out). Figures of v4 are in mm, on the second performance of the script, but for
 the active share.
 
-Two tables: motion errors as everywhere, with the actor's head laid onto the true one by the vertices of both neutrals; and
-with the head where the frames of the resting face were tracked, since only then vertices that slid along the skin of the
-forehead or the cheeks in the neutral do not count at the lips (``metrics.tracked_alignment``). Exit status 1 when, by the
-second, the mean over the performers of any figure is more than 25 % worse with detected features.
+Two tables: motion errors as everywhere, with the actor's head laid onto the true one by the vertices of both neutrals; and,
+for comparison, with the head where the frames of the resting face were tracked, so that vertices that slid along the skin
+of the forehead or the cheeks in the neutral do not count at the lips (``metrics.tracked_alignment``). Exit status 1 when, by
+the first, the mean over the performers of any figure is more than 25 % worse with detected features.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 
 REPORTING_SEEDS = (1000, 1001, 1002)
 GROUPS = ("lips", "eyes", "brows")
-#: By what the actor's head is laid onto the true one; the last one is judged.
+#: By what the actor's head is laid onto the true one; the first, as everywhere else, is judged.
 PLACEMENTS = ("all vertices", "the neutral frames")
 FIGURES = ("surface_p95", "active_share", "lips", "eyes", "brows")
 #: v4 with detected features may be this much worse than with exact ones.
@@ -157,6 +157,7 @@ def report(rows: list[dict]) -> tuple[str, bool]:
     for group in (*GROUPS, "all"):
         means = (np.mean([row["pixels"][group][name] for row in rows]) for name in names)
         lines.append(f"{group:<32}" + "".join(f"{value:>11.2f}" for value in means))
+    means = {}
     for by in PLACEMENTS:
         heads = "".join(f"{name:>23}" for name in FIGURES)
         lines += ["", f"v4, exact / detected; head placed by {by}", " " * 26 + heads + "   found"]
@@ -165,9 +166,9 @@ def report(rows: list[dict]) -> tuple[str, bool]:
             pairs = [(row["exact"][by][name], row["detected"][by][name]) for name in FIGURES]
             total.append(pairs)
             lines.append(f"{row['seed']} {row['noise']:<20}" + _cells(pairs) + f"{row['found']:>8.1%}")
-        mean = np.mean(total, axis=0)
-        lines.append(f"{'mean':<26}" + _cells(mean))
-    worst, name = max((b / a - 1, name) for (a, b), name in zip(mean, FIGURES, strict=True))
+        means[by] = np.mean(total, axis=0)
+        lines.append(f"{'mean':<26}" + _cells(means[by]))
+    worst, name = max((b / a - 1, name) for (a, b), name in zip(means[PLACEMENTS[0]], FIGURES, strict=True))
     holds = worst <= TOLERANCE
     lines.append(f"{'pass' if holds else 'FAIL'}  detected at most {TOLERANCE:.0%} worse than exact: {name} {worst:+.0%}")
     return "\n".join(lines), holds

@@ -81,8 +81,9 @@ def tracked_alignment(poses: np.ndarray, true_poses: np.ndarray) -> np.ndarray:
     """(4, 4) rigid transform A from the tracker's head frame to the true one, the mean over frames of a resting face.
 
     ``poses``, ``true_poses`` (F, 4, 4): head to camera. With it a face at rest that lies on its neutral has no motion error.
-    :func:`neutral_alignment` leaves it one: where vertices of the forehead or the cheeks slid along the skin in the
-    neutral, fitting all of them moves the lips as well (0.3 to 0.6 mm, five performers captured with detected features).
+    :func:`neutral_alignment`, the measure of every figure reported unless said, leaves it one: where vertices of the
+    forehead or the cheeks slid along the skin in the neutral, fitting all of them moves the lips as well (0.3 to 0.6 mm,
+    five performers captured with detected features).
     """
     relative = np.linalg.inv(true_poses) @ poses
     out = np.eye(4)
