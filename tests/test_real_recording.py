@@ -15,10 +15,12 @@ from scipy.spatial import cKDTree
 
 from adaptiveface.actor import Actor
 from adaptiveface.cli import main
-from adaptiveface.frame import FEATURE_IDS
+from adaptiveface.frame import FEATURE_IDS, FEATURE_REGIONS
 from adaptiveface.mesh import rotation_vector_matrix, surface_points, transform_points
+from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording
+from adaptiveface.tracking.feature_refinement import FeatureRefinement
 from adaptiveface.tracking.tracker import FaceTracker
 
 
@@ -142,3 +144,28 @@ def test_the_final_mesh_lies_on_the_depth(tracked, mannequin):
         gap = depth - vertices[inside, 2]
         errors.append(np.abs(gap[(depth > 0) & (np.abs(gap) < 20)]))
     assert np.median(np.concatenate(errors)) < 1.0
+
+
+def test_refined_features_lie_closer_to_the_rigid_head(mannequin, actor_file, tracked, detector):
+    """Of a head that cannot move its face, the rigid poses say where every feature is: brows and lips gain by the pictures."""
+    actor, recording = Actor.load(actor_file), Recording(mannequin)
+    refinement = FeatureRefinement(actor, Parameters().refinement)
+    places = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)
+    errors = {"detected": [], "refined": []}
+    for index in np.flatnonzero(tracked.tracked)[::4]:
+        pose = tracked.rigid[index].astype(float)
+        frame = recording.read(index)
+        frame = dataclasses.replace(frame, features=detector.detect(frame))
+        if frame.features is None or frame.features.valid.sum() < 6 or np.degrees(np.arccos(-pose[2, 2])) > 45:
+            continue
+        truth = frame.camera.project(transform_points(pose, places))
+        refined = refinement.refine(frame, actor.neutral, pose, lambda features, mesh: mesh)
+        seen = frame.features.confidence > 0.05
+        for name, features in (("detected", frame.features), ("refined", refined)):
+            away = np.linalg.norm(features.pixels - truth, axis=1)
+            errors[name].append(np.where(seen, away, np.nan))
+    assert len(errors["refined"]) >= 8
+    for region in ("lips", "brows"):
+        before, after = (np.nanmedian(np.array(errors[name])[:, FEATURE_REGIONS == region]) for name in ("detected", "refined"))
+        print(f"{region}: detected {before:.2f} px, refined {after:.2f} px")
+        assert after < 0.9 * before
