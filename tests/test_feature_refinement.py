@@ -139,6 +139,16 @@ def test_what_is_covered_stays_with_the_detector(sensor, actor):
     assert np.nanmedian(gained) < 0.5 * np.nanmedian(open_view)
 
 
+@pytest.mark.parametrize("shift", [(-700.0, 0.0), (0.0, 600.0), (-250.0, -150.0)])
+def test_features_outside_the_picture_do_no_harm(sensor, actor, shift):
+    frame, mesh, pose = misread(sensor.read(0)), head_mesh(sensor, 0), sensor.ground_truth(0).rigid
+    outside = replace(frame.features, pixels=frame.features.pixels + shift)
+    left = refined(actor, replace(frame, features=outside), mesh, pose)
+    seen = outside.valid
+    assert np.isfinite(left.pixels[seen]).all() and np.isfinite(left.confidence).all()
+    assert np.linalg.norm((left.pixels - outside.pixels)[seen], axis=1).max() < 20
+
+
 def test_only_detected_features_of_coloured_frames_are_refined(sensor, actor):
     """Exact features give an actor without appearance; a tracker leaves alone what it cannot or must not refine."""
     frame = misread(sensor.read(0))

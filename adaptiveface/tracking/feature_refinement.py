@@ -65,8 +65,10 @@ class FeatureRefinement:
         found = frame.features
         seen = np.flatnonzero(found.valid)
         u, v = np.maximum(found.bounding_box[:2].astype(int) - _BORDER, 0)
-        right, bottom = found.bounding_box[2:].astype(int) + _BORDER
+        right, bottom = np.maximum(found.bounding_box[2:].astype(int) + _BORDER, 0)
         picture, corner = frame.colour[v:bottom, u:right], np.array([u, v], float)
+        if min(picture.shape[:2]) < _BORDER:  # the face has left the picture
+            return found
         depth = float(transform_points(pose, self.actor.neutral[self.actor.feature_vertices])[:, 2].mean())
         covariance = self._covariance[np.ix_(seen, seen)] * (frame.camera.fx / depth) ** 2
         precision = np.linalg.inv(covariance)
