@@ -30,6 +30,8 @@ from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner
 WIDTH, HEIGHT, FPS = 640, 480, 30
 #: A picture further than this many frames from its depth is not the same moment.
 MAX_SKEW_FRAMES = 0.6
+#: Images of a stream kept until their partner comes: one stream may be delivered some frames after the other.
+MOST_WAITING = 4
 #: Playback that gives nothing for so long will give nothing any more, s.
 PLAYBACK_PATIENCE = 10.0
 #: A camera that gives nothing for so long is looked for, s.
@@ -77,7 +79,7 @@ class OpenNI2Driver:
                 raise FileFormatError(f"{self.path}: not a complete OpenNI2 recording with depth ({error})") from None
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); plug it in again") from None
         self._silence, self._last_index, self._read = 0.0, {}, 0
-        self._waiting: dict = {}
+        self._waiting: dict[bool, list] = {True: [], False: []}
 
     @by_the_owner
     def grab(self, timeout: float) -> RawFrame | None:
@@ -91,8 +93,9 @@ class OpenNI2Driver:
                 self._silence += patience  # not by the clock: this process may have slept
                 self._check_silence()
             else:
-                image, index, timestamp = self._take(stream)
-                self._waiting[stream is self._depth] = image, index, timestamp
+                waiting = self._waiting[stream is self._depth]
+                waiting.append(self._take(stream))
+                del waiting[:-MOST_WAITING]
                 frame = self._pair()
                 if frame is not None:
                     return frame
@@ -209,21 +212,22 @@ class OpenNI2Driver:
         return image, index, timestamp
 
     def _pair(self) -> RawFrame | None:
-        """A frame where depth and colour of the same moment wait; the older one of two moments is forgotten."""
-        depth, colour = self._waiting.get(True), self._waiting.get(False)
-        if depth is None or (colour is None and self._colour is not None):
+        """A frame where depth and colour of the same moment wait; what is older than they is forgotten."""
+        depths, colours = self._waiting[True], self._waiting[False]
+        skew = MAX_SKEW_FRAMES / self.fps
+        partners = range(len(colours)) if self._colour is not None else (None,)
+        fits = ((d, c) for d in range(len(depths)) for c in partners if c is None or abs(depths[d][2] - colours[c][2]) <= skew)
+        found = next(fits, None)
+        if found is None:
             return None
-        if colour is not None and abs(depth[2] - colour[2]) > MAX_SKEW_FRAMES / self.fps:
-            del self._waiting[depth[2] < colour[2]]
-            return None
-        self._waiting.clear()
-        image, index, timestamp = depth
+        (image, index, timestamp), colour = depths[found[0]], None if found[1] is None else colours[found[1]]
+        del depths[: found[0] + 1], colours[: (found[1] or 0) + 1]
         millimetres = image * np.float32(1000.0 / self.depth_scale)
         return RawFrame(millimetres, self.camera, None if colour is None else colour[0], index, timestamp)
 
     def _check_end(self) -> None:
         """The last depth frame was read, and no picture is awaited for it."""
-        if not self.live and 0 < self._count <= self._read and True not in self._waiting:
+        if not self.live and 0 < self._count <= self._read and not self._waiting[True]:
             self._end()
 
     def _check_silence(self) -> None:
