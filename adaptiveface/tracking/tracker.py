@@ -31,7 +31,7 @@ FOLLOW_WEIGHT = 3.0
 class FaceTracker:
     """Tracks one actor. ``track(frame)`` for every frame in order; ``reset()`` starts over, ``forget()`` drops the pose only.
 
-    State between frames: the head pose, the coefficients, the last deformation, and the adaptive model (``model``).
+    State between frames: the head pose, the coefficients, the last deformation and final mesh, and the adaptive ``model``.
     """
 
     def __init__(self, actor: Actor, parameters: Parameters | None = None) -> None:
