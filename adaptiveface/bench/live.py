@@ -114,6 +114,7 @@ def measure_live(seconds: float, warm_up: float = WARM_UP_SECONDS, tick: Callabl
     actor, sensor = live_scene()
 
     def keep(result: LiveResult) -> None:
+        """Latency and tracking time, ms, and whether the face was tracked."""
         results.append((result.latency_ms, sum(result.tracked.stage_ms.values()), result.tracked.tracked))
 
     with sensor, FeatureFeed(sensor, detector) as feed, LiveSession(feed, actor, on_result=[keep]) as session:

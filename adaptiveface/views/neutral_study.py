@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,7 +27,7 @@ _WIDE = widgets.Layout(width="420px")
 _STYLE = {"description_width": "130px"}
 
 
-class _Study:
+class _Study(ABC):
     """Controls over a face view: ``widget`` is what to display; a change calls ``draw``, whose errors are shown."""
 
     view: FaceView
@@ -46,9 +47,9 @@ class _Study:
             self.draw()
             self.view.refresh()
 
+    @abstractmethod
     def draw(self) -> None:
         """Bring the view's panes up to date with the controls; every study has its own."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Free the renderer; the last picture stays."""
@@ -90,6 +91,7 @@ class ScanStudy(_Study):
         self._assemble([self.frames, self.voxel])
 
     def draw(self) -> None:
+        """Fuse the chosen number of frames with the chosen voxels, and show the scan."""
         parameters = FusionParameters(voxel=self.voxel.value, passes=1, min_views=0.0)
         self.scan = fuse_frames(self.neutral[: self.frames.value], self.model, parameters)
         self.view.show_points(0, self.scan.points, self.scan.weights, self.scan.normals, 20_000, size=5)
@@ -115,6 +117,7 @@ class IdentityStudy(_Study):
         self._assemble(self.sliders)
 
     def draw(self) -> None:
+        """Show the head of the chosen identity coefficients, coloured by its distance from the mean, mm."""
         vertices = self.model.neutral(np.array([slider.value for slider in self.sliders]))
         self.view.show(0, vertices, np.linalg.norm(vertices - self.model.mean, axis=1))
 
@@ -144,6 +147,7 @@ class ShrinkWrapStudy(_Study):
         self._assemble([self.stiffness])
 
     def draw(self) -> None:
+        """Wrap the fitted head onto the scan with the chosen stiffness, and show both heads' distance to it, mm."""
         last = self.stiffness.value
         # Without the fine per-vertex step, which would reach the scan whatever the stiffness.
         parameters = ShrinkWrapParameters(rigidity_start=max(100.0, last), rigidity_end=last, detail_iterations=0)
@@ -216,6 +220,7 @@ class ExpressionStudy(_Study):
         self._assemble(list(self.sliders.values()))
 
     def draw(self) -> None:
+        """Show the chosen expression on every pane's head."""
         x = np.array([slider.value for slider in self.sliders.values()])
         for pane, (neutral, shapes) in enumerate(
             (
