@@ -21,6 +21,7 @@ from adaptiveface.errors import (
 from adaptiveface.sensors import LiveFrame, list_sensors, open_sensor
 from adaptiveface.sensors import live as live_module
 from adaptiveface.sensors.live import LiveSensor, RawFrame
+from adaptiveface.sensors.pairing import Pairing
 from adaptiveface.sensors.playback import DEVICE_QUEUE, SyntheticDriver, forth_and_back
 from adaptiveface.synthetic.sensor import SyntheticSensor
 
@@ -288,3 +289,22 @@ def test_interrupted_while_it_opens_it_is_closed(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         LiveSensor(lambda: Booting([], live=True, log=log))
     assert log == ["open", "close"]
+
+
+@pytest.mark.parametrize("late", [0, 1, 3, -2])
+def test_colour_that_is_delivered_apart_from_its_depth_finds_it(late):
+    """Under load the streams of a camera start apart, and stay apart by a frame or more."""
+    pairing, pairs = Pairing(0.6 / 30), []
+    for step in range(-2, 16):
+        for stream, number in ((pairing.depth, step), (pairing.colour, step - late)):
+            if 0 <= number < 12:
+                stream.append((number, number / 30))
+                pairs += [] if (found := pairing.take()) is None else [found]
+    assert [(depth[0], colour[0]) for depth, colour in pairs] == [(number, number) for number in range(12)]
+
+
+def test_what_has_no_partner_is_forgotten():
+    pairing = Pairing(0.6 / 30)
+    pairing.depth.extend((number, number / 30) for number in (0, 1, 2))
+    pairing.colour.append((2, 2 / 30 + 0.015))
+    assert pairing.take() == ((2, 2 / 30), (2, 2 / 30 + 0.015)) and not pairing.depth and pairing.take() is None

@@ -23,7 +23,7 @@ from adaptiveface.errors import (
     SensorNotFoundError,
 )
 from adaptiveface.sensors import LiveSensor, Recording, list_sensors, open_sensor, open_source, openni2
-from adaptiveface.sensors.openni2 import MOST_WAITING, OpenNI2Driver, best_modes, connected_cameras
+from adaptiveface.sensors.openni2 import best_modes, connected_cameras
 from adaptiveface.sensors.openni2_library import OpenNI2Error, VideoMode
 from adaptiveface.sensors.openni2_playback import OniPlayback
 
@@ -311,20 +311,3 @@ def test_the_same_performance_tracks_to_the_same_result(tmp_path, capsys, pixel_
     with capsys.disabled():
         print(f"\nOpenNI2, {1000 / scale:g} mm: {compared}")
     assert compared.frames == len(p) and compared.worst < 0.2
-
-
-@pytest.mark.parametrize("late", [0, 1, 3])
-def test_colour_that_is_delivered_late_finds_its_depth(late):
-    """Under load the streams of a camera start apart, and stay apart by a frame or more."""
-    driver = OpenNI2Driver("Dummy")
-    driver._depth, driver._colour, driver.fps, driver.camera, driver.depth_scale = "depth", "colour", 30.0, None, 1000.0
-    driver._waiting, frames = {True: [], False: []}, []
-    for step in range(12 + late):
-        for is_depth, number in ((True, step), (False, step - late)):
-            if 0 <= number < 12:
-                driver._waiting[is_depth].append((np.full((2, 2), number), number, number / 30))
-                del driver._waiting[is_depth][:-MOST_WAITING]
-                frame = driver._pair()
-                frames += [] if frame is None else [frame]
-    assert [frame.sequence for frame in frames] == list(range(12))
-    assert all((frame.depth == frame.colour).all() for frame in frames)

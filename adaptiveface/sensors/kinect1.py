@@ -18,6 +18,7 @@ import numpy as np
 from ..camera import Camera
 from ..errors import DriverMissingError, ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
 from .live import RawFrame
+from .pairing import Pairing
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 #: Environment variable with the path of the library, where it is not among the system's.
@@ -135,7 +136,7 @@ class Kinect1Driver:
         if library.open_device(self._context, byref(device), self.index) < 0:
             raise SensorError(f"{self.name}: cannot be opened; is another program using it, or are its udev rules missing?")
         self._device = device
-        self._newest: dict[str, tuple[np.ndarray, float]] = {}
+        self._waiting = Pairing(MAX_SKEW_FRAMES / FPS)
         self._clock, self._sequence, self._last_time = {}, -1, None
         self._start(device)
         self._last_frame = time.perf_counter()
@@ -188,11 +189,11 @@ class Kinect1Driver:
     # ---- called by the library, within process_events_timeout ------------------------------------------------------
     def _on_depth(self, _device, address, ticks) -> None:
         units = np.ctypeslib.as_array((ctypes.c_uint16 * (WIDTH * HEIGHT)).from_address(address))
-        self._newest["depth"] = units.reshape(HEIGHT, WIDTH).copy(), self._seconds("depth", ticks)
+        self._waiting.depth.append((units.reshape(HEIGHT, WIDTH).copy(), self._seconds("depth", ticks)))
 
     def _on_video(self, _device, address, ticks) -> None:
         pixels = np.ctypeslib.as_array((ctypes.c_uint8 * (WIDTH * HEIGHT * 3)).from_address(address))
-        self._newest["colour"] = pixels.reshape(HEIGHT, WIDTH, 3).copy(), self._seconds("colour", ticks)
+        self._waiting.colour.append((pixels.reshape(HEIGHT, WIDTH, 3).copy(), self._seconds("colour", ticks)))
 
     def _seconds(self, stream: str, ticks: int) -> float:
         """The clock's counter without its overflow every 72 s; depth and colour share the clock."""
@@ -201,14 +202,11 @@ class Kinect1Driver:
         return self._clock[stream] / TICKS
 
     def _pair(self) -> RawFrame | None:
-        """A frame where depth and colour of the same moment wait; the older one of two moments is forgotten."""
-        if len(self._newest) < 2:
+        """A frame where depth and colour of the same moment wait."""
+        found = self._waiting.take()
+        if found is None:
             return None
-        (units, moment), (picture, pictured) = self._newest["depth"], self._newest["colour"]
-        if abs(moment - pictured) > MAX_SKEW_FRAMES / FPS:
-            del self._newest["depth" if moment < pictured else "colour"]
-            return None
-        self._newest.clear()
+        (units, moment), (picture, _) = found
         passed = 1 if self._last_time is None else round((moment - self._last_time) * FPS)
         self._sequence, self._last_time = self._sequence + max(passed, 1), moment
         if self.registered:

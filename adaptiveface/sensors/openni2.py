@@ -25,13 +25,12 @@ from ..errors import (
 from . import openni2_library as oni
 from .live import RawFrame
 from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner
+from .pairing import Pairing
 
 #: Size and rate asked for where the camera has them.
 WIDTH, HEIGHT, FPS = 640, 480, 30
 #: A picture further than this many frames from its depth is not the same moment.
 MAX_SKEW_FRAMES = 0.6
-#: Images of a stream kept until their partner comes: one stream may be delivered some frames after the other.
-MOST_WAITING = 4
 #: Playback that gives nothing for so long will give nothing any more, s.
 PLAYBACK_PATIENCE = 10.0
 #: A camera that gives nothing for so long is looked for, s.
@@ -79,7 +78,7 @@ class OpenNI2Driver:
                 raise FileFormatError(f"{self.path}: not a complete OpenNI2 recording with depth ({error})") from None
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); plug it in again") from None
         self._silence, self._last_index, self._read = 0.0, {}, 0
-        self._waiting: dict[bool, list] = {True: [], False: []}
+        self._waiting = Pairing(MAX_SKEW_FRAMES / self.fps)
 
     @by_the_owner
     def grab(self, timeout: float) -> RawFrame | None:
@@ -93,9 +92,8 @@ class OpenNI2Driver:
                 self._silence += patience  # not by the clock: this process may have slept
                 self._check_silence()
             else:
-                waiting = self._waiting[stream is self._depth]
+                waiting = self._waiting.depth if stream is self._depth else self._waiting.colour
                 waiting.append(self._take(stream))
-                del waiting[:-MOST_WAITING]
                 frame = self._pair()
                 if frame is not None:
                     return frame
@@ -212,22 +210,20 @@ class OpenNI2Driver:
         return image, index, timestamp
 
     def _pair(self) -> RawFrame | None:
-        """A frame where depth and colour of the same moment wait; what is older than they is forgotten."""
-        depths, colours = self._waiting[True], self._waiting[False]
-        skew = MAX_SKEW_FRAMES / self.fps
-        partners = range(len(colours)) if self._colour is not None else (None,)
-        fits = ((d, c) for d in range(len(depths)) for c in partners if c is None or abs(depths[d][2] - colours[c][2]) <= skew)
-        found = next(fits, None)
+        """A frame where depth and colour of the same moment wait; a device without colour waits for none."""
+        if self._colour is None:
+            found = (self._waiting.depth.popleft(), None) if self._waiting.depth else None
+        else:
+            found = self._waiting.take()
         if found is None:
             return None
-        (image, index, timestamp), colour = depths[found[0]], None if found[1] is None else colours[found[1]]
-        del depths[: found[0] + 1], colours[: (found[1] or 0) + 1]
+        (image, index, timestamp), colour = found
         millimetres = image * np.float32(1000.0 / self.depth_scale)
         return RawFrame(millimetres, self.camera, None if colour is None else colour[0], index, timestamp)
 
     def _check_end(self) -> None:
         """The last depth frame was read, and no picture is awaited for it."""
-        if not self.live and 0 < self._count <= self._read and not self._waiting[True]:
+        if not self.live and 0 < self._count <= self._read and not self._waiting.depth:
             self._end()
 
     def _check_silence(self) -> None:
