@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -188,6 +189,22 @@ def test_playback_of_a_recording_tracks_to_the_same_result(db3):
     result = p.compare(got, 1000)
     print(f"\nRealSense, .db3 playback: {result}")
     assert result.worst < 0.2
+
+
+def test_playback_waits_until_every_stream_has_started(db3, monkeypatch):
+    """The SDK starts one stream after the other; a file that is read meanwhile loses its first frames."""
+    start, before = rs.pipeline.start, []
+
+    def slow_start(pipeline, config):
+        profile = start(pipeline, config)
+        time.sleep(0.2)
+        before.append((profile.get_device().as_playback().current_status(), pipeline.poll_for_frames().size()))
+        return profile
+
+    monkeypatch.setattr(rs.pipeline, "start", slow_start)
+    with open_sensor(str(db3)) as sensor:
+        assert sensor.read().sequence == 0
+    assert before == [(rs.playback_status.paused, 0)]
 
 
 def test_convert_keeps_every_depth_value(db3, tmp_path, capsys):

@@ -85,9 +85,12 @@ class RealSenseDriver:
             config.enable_stream(rs.stream.color, WIDTH, HEIGHT, rs.format.rgb8, FPS)
         else:
             config.enable_device_from_file(str(self.path), repeat_playback=False)
-            resolved = config.resolve(rs.pipeline_wrapper(pipeline))  # real time off before the start: no frame lost
-            resolved.get_device().as_playback().set_real_time(False)
+            playback = config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback()
+            playback.set_real_time(False)  # before the start: no frame is lost
+            playback.pause()  # reading begins with the first stream; what it reads is lost to one that starts later
         profile = pipeline.start(config)
+        if not self.live:
+            playback.resume()
         self._pipeline, self._device = pipeline, profile.get_device()
         stream = profile.get_stream(rs.stream.depth).as_video_stream_profile()
         self.fps = float(stream.fps())
