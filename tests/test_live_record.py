@@ -177,7 +177,7 @@ def test_ctrl_c_ends_the_recording_of_a_sensor_and_breaks_off_that_of_a_file(tmp
 
     def interrupt(frame) -> None:
         if frame.index == 4:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     with LiveSensor(lambda: Endless([], live=live)) as sensor:
         if live:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, ParameterError, TrackingError
+from ..interrupt import CtrlC
 from ..parameters import Parameters
 from ..result import ResultBuilder
 from ..sensors.catalogue import list_sensors, open_sensor
@@ -93,12 +94,13 @@ class _Headless:
         """Until the end of the recording, of ``--seconds``, or Ctrl-C; the exit status."""
         with ExitStack() as stack:
             sensor = stack.enter_context(open_sensor(self.args.sensor))
+            ctrl_c = stack.enter_context(CtrlC())
             print(f"{sensor.name}: " + ("Ctrl-C ends and saves" if sensor.live else "every frame, until its end"))
             stack.enter_context(self._recording(sensor))
             run = stack.enter_context(LiveRun(sensor, self._given, self.parameters, watch=self._show))
             while not run.wait(POLL_SECONDS):
-                pass
-            self._track(run.session)
+                ctrl_c.check()
+            self._track(run.session, ctrl_c)
         return 0
 
     @contextmanager
@@ -155,12 +157,10 @@ class _Headless:
         self._stream(run)
 
     # ---- tracking --------------------------------------------------------------------------------------------------
-    def _track(self, session: LiveSession) -> None:
+    def _track(self, session: LiveSession, ctrl_c: CtrlC) -> None:
         try:
             with session:
-                self._follow(session)
-        except KeyboardInterrupt:
-            self.line.end("ended by Ctrl-C")
+                self._follow(session, ctrl_c)
         finally:
             self.line.end(str(session.statistics))
             self._save(session)
@@ -179,9 +179,12 @@ class _Headless:
             result.save(self.args.out)
             print(f"{self.args.out}: {result.summary()}")
 
-    def _follow(self, session: LiveSession) -> None:
+    def _follow(self, session: LiveSession, ctrl_c: CtrlC) -> None:
         start, last = time.monotonic(), -1
         while session.running and (self.args.seconds is None or time.monotonic() - start < self.args.seconds):
+            if ctrl_c.pressed:
+                self.line.end("ended by Ctrl-C")
+                return
             result = session.latest(last, 0.5)
             state = "waiting"
             if result is not None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import AdaptiveFaceError, EndOfRecording, FileFormatError, RecordingError, SensorError
+from ..interrupt import CtrlC
 from .live import LiveFrame, LiveSensor
 from .recording import RecordingWriter
 
@@ -125,9 +126,9 @@ def record_sensor(
     """Record ``sensor`` into the new ``folder`` until ``seconds`` or ``frames`` are over, or its recording ends.
 
     ``on_frame(frame)`` sees every frame. Ctrl-C ends the recording of a live sensor, and breaks off that of a file, whose
-    first part stays. Raises :class:`RecordingError` on a
-    full disk, the sensor's :class:`SensorError`, :class:`FileFormatError` for a folder that holds a recording already;
-    whatever was recorded until then stays.
+    first part stays; a second one does not wait for the frame in hand. Raises :class:`RecordingError` on a full disk, the
+    sensor's :class:`SensorError`, :class:`FileFormatError` for a folder that holds a recording already; whatever was
+    recorded until then stays.
     """
     check_has_depth(sensor)
     sensor.buffer(BACKLOG)
@@ -136,21 +137,22 @@ def record_sensor(
     depth_scale = min(max(sensor.depth_scale, 100.0), 100_000.0)
     recorder = FrameRecorder(RecordingWriter(folder, first.camera, sensor.fps, depth_scale), not sensor.live)
     start, frame, count = time.perf_counter(), first, 0
-    try:
-        while True:
-            count += recorder.write(frame)
-            if on_frame is not None:
-                on_frame(frame)
-            if count == frames or (seconds is not None and time.perf_counter() - start >= seconds):
-                break
-            frame = sensor.read(timeout)
-    except EndOfRecording:
-        pass
-    except KeyboardInterrupt:
-        if not sensor.live:  # half a conversion is none
-            raise
-    finally:
-        recorder.close()
+    with CtrlC() as ctrl_c:
+        try:
+            while True:
+                count += recorder.write(frame)
+                if on_frame is not None:
+                    on_frame(frame)
+                over = seconds is not None and time.perf_counter() - start >= seconds
+                if over or count == frames or ctrl_c.pressed:
+                    break
+                frame = sensor.read(timeout)
+        except EndOfRecording:
+            pass
+        finally:
+            recorder.close()
+        if not sensor.live:
+            ctrl_c.check()  # half a conversion is none
     lost = sensor.dropped - first.dropped
     return RecordingSummary(recorder.writer.path, recorder.frames, lost, recorder.refused, time.perf_counter() - start)
 
