@@ -17,7 +17,8 @@ from adaptiveface.neutral.appearance import gather_appearance
 from adaptiveface.neutral.capture import build_actor, capture_actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.synthetic.sensor import SyntheticSensor
-from adaptiveface.tracking.feature_refinement import FeatureRefinement, _normal_equations
+from adaptiveface.tracking.feature_refinement import FeatureRefinement
+from adaptiveface.tracking.patch_alignment import GAIN, OFFSET, _normal_equations, align_patches
 from adaptiveface.tracking.retune import retuned
 from adaptiveface.tracking.tracker import FaceTracker
 
@@ -80,13 +81,13 @@ def test_without_colour_there_is_no_appearance(sensor, actor):
     assert gather_appearance(actor, views, PARAMETERS.refinement) is None
 
 
-def test_normal_equations_are_those_of_scipy(actor):
+def test_normal_equations_are_those_of_scipy():
     """One patch in a random picture: H and g against SciPy's interpolation and explicit sums."""
     rng = np.random.default_rng(3)
     picture, gu, gv = rng.uniform(0, 200, (3, 30, 40, 3)).astype(np.float32)
     pixels, weights, colours = rng.uniform(5, 24, (20, 2)), rng.uniform(0.1, 1, 20), rng.uniform(0, 200, (20, 3))
-    shift, light = np.array([[0.7, -1.2]]), np.array([[1.1, -4.0]])
-    h, g = _normal_equations(picture, gu, gv, pixels, weights, colours, np.array([0, 20]), shift, light, 16.0)
+    shift, light = np.array([0.7, -1.2]), np.array([1.1, -4.0])
+    h, g = _normal_equations((picture, gu, gv), pixels, weights, colours, shift, light, 16.0)
     at = (pixels + shift)[:, ::-1].T
     value, du, dv = (np.stack([map_coordinates(m[..., c], at, order=1) for c in range(3)], axis=1) for m in (picture, gu, gv))
     lit = np.array([1.0, 0.0, 0.0])
@@ -94,8 +95,40 @@ def test_normal_equations_are_those_of_scipy(actor):
     scale = np.maximum((weights[:, None] * residual**2).sum(axis=0) / weights.sum(), 16.0)
     w = weights[:, None] / (scale + 0.25 * residual**2)
     jacobian = np.stack([du, dv, -colours * lit, -np.ones_like(colours) * lit], axis=2)
-    np.testing.assert_allclose(h[0], np.einsum("qc,qci,qcj->ij", w, jacobian, jacobian), rtol=1e-5)
-    np.testing.assert_allclose(g[0], -np.einsum("qc,qci,qc->i", w, jacobian, residual), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(h, np.einsum("qc,qci,qcj->ij", w, jacobian, jacobian), rtol=1e-5)
+    np.testing.assert_allclose(g, -np.einsum("qc,qci,qc->i", w, jacobian, residual), rtol=1e-5, atol=1e-6)
+
+
+def test_a_round_solves_shifts_and_light_of_all_patches_together():
+    """Against one dense system of shifts, gains and offsets, their priors, and the detector's covariance."""
+    rng = np.random.default_rng(4)
+    images = tuple(rng.uniform(0, 60, (3, 30, 40, 3)).astype(np.float32))
+    count, samples = 4, 30
+    starts, seen = np.arange(count + 1) * samples, np.array([0, 1, 3])
+    pixels, colours = rng.uniform(8, 20, (count * samples, 2)), rng.uniform(0, 60, (count * samples, 3))
+    weights, n = rng.uniform(0.1, 1, count * samples), len(seen)
+    start, detected = rng.normal(0, 0.5, (2, n, 2))
+    precision = np.linalg.inv(0.6 * np.ones((n, n)) + 0.3 * np.eye(n)) * 3.0
+    shift, variance = align_patches(
+        images, pixels, weights, colours, starts, seen, start, detected, precision, 1, 16.0
+    )  # fmt: skip
+
+    whole, right = np.zeros((n, 4, n, 4)), np.zeros((n, 4))
+    for i, f in enumerate(seen):
+        part = slice(starts[f], starts[f + 1])
+        h, right[i] = _normal_equations(
+            images, pixels[part], weights[part], colours[part], start[i], np.array([1.0, 0.0]), 16.0
+        )  # fmt: skip
+        whole[i, :, i] = h + np.diag([0, 0, GAIN**-2, OFFSET**-2])
+    for k in range(2):
+        whole[:, k, :, k] += precision
+        right[:, k] += precision @ (detected - start)[:, k]
+    whole = whole.reshape(4 * n, 4 * n)
+    step = np.linalg.solve(whole, right.ravel()).reshape(n, 4)[:, :2]
+    assert np.abs(step).max() < 1.5  # no step is cut
+    np.testing.assert_allclose(shift, start + step, rtol=1e-6, atol=1e-9)
+    left = np.diag(np.linalg.inv(whole)).reshape(n, 4)[:, :2].mean(axis=1)
+    np.testing.assert_allclose(variance, left, rtol=1e-6)
 
 
 @pytest.mark.parametrize("index", [NEUTRAL + 10, NEUTRAL + 35])

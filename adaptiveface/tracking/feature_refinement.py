@@ -25,17 +25,16 @@ from ..camera import Camera
 from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..mesh import surface_points, transform_points
 from ..parameters import RefinementParameters
+from .patch_alignment import align_patches
 
 #: Cosine between skin and viewing ray: a sample does not count below the first, and fully from the second on.
 FACING = (0.35, 0.65)
 #: Share of the detector's variance that is a feature's own; the rest is alike at its neighbours.
 OWN_SHARE = 0.15
-#: Deviations of the gain and the offset (percent) of a patch's brightness from one and zero.
-GAIN, OFFSET = 0.3, 20.0
 #: The residuals of so many neighbouring pixels count as one: what a patch cannot explain is no white noise.
 CORRELATED = 3.0
-#: px: longest step of a round, and border around the features in which the picture is prepared.
-_LONGEST, _BORDER = 1.5, 40
+#: px beside the patches in which the picture is prepared: blurs and shifts reach so far.
+_BORDER = 16
 #: Variance, px^2, that no picture takes out of a feature: the mesh itself is a little off.
 _FLOOR = 0.2
 
@@ -64,13 +63,15 @@ class FeatureRefinement:
         """
         found = frame.features
         seen = np.flatnonzero(found.valid)
-        u, v = np.maximum(found.bounding_box[:2].astype(int) - _BORDER, 0)
-        right, bottom = np.maximum(found.bounding_box[2:].astype(int) + _BORDER, 0)
-        picture, corner = frame.colour[v:bottom, u:right], np.array([u, v], float)
-        if min(picture.shape[:2]) < _BORDER:  # the face has left the picture
-            return found
         depth = float(transform_points(pose, self.actor.neutral[self.actor.feature_vertices])[:, 2].mean())
-        covariance = self._covariance[np.ix_(seen, seen)] * (frame.camera.fx / depth) ** 2
+        scale = frame.camera.fx / depth  # px per mm
+        border = int(self.parameters.radius * scale) + _BORDER
+        u, v = np.maximum(found.bounding_box[:2].astype(int) - border, 0)
+        right, bottom = np.maximum(found.bounding_box[2:].astype(int) + border, 0)
+        picture, corner = frame.colour[v:bottom, u:right], np.array([u, v], float)
+        if min(picture.shape[:2]) < border:  # the face has left the picture
+            return found
+        covariance = self._covariance[np.ix_(seen, seen)] * scale**2
         precision = np.linalg.inv(covariance)
         features = found
         for level, blur in enumerate(BLURS):
@@ -88,39 +89,22 @@ class FeatureRefinement:
         """The samples as the mesh carries them, in pixels of the cut-out picture."""
         look, actor = self.actor.appearance, self.actor
         mesh = transform_points(pose, mesh)
-        points, facing = _carry(mesh, look.triangles, look.weights)
-        weights = self._nearness * np.clip((facing - FACING[0]) / (FACING[1] - FACING[0]), 0.0, 1.0)
-        # A sample counts as the independent pixels that it stands for, at most as one.
-        weights *= np.minimum(self._area * (camera.fx / points[:, 2]) ** 2, 1.0) / CORRELATED
+        points, weights = _carry(mesh, look.triangles, look.weights, self._nearness, self._area, camera.fx)
         homes = camera.project(surface_points(mesh, actor.feature_triangles, actor.feature_weights))
         return _Patches(homes, camera.project(points) - corner, weights, look.colours[level], self._starts)
 
     def _shift(self, patches, picture, found, features, precision, seen) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton on the shifts: pixels (40, 2) of the features, and the variance (f,) px^2 that is left of each."""
-        count = len(patches.homes)
-        detected, shift = found.pixels - patches.homes, features.pixels - patches.homes
-        light = np.tile([1.0, 0.0], (count, 1))
-        gradients = [cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1))]
-        size, floor = len(seen), self.parameters.noise**2
-        for _ in range(self.parameters.rounds):
-            moved = np.where(np.isfinite(shift), shift, 0.0)
-            h, g = _normal_equations(picture, *gradients, *patches.arrays, moved, light, floor)
-            h, g = h[seen], g[seen]
-            h[:, (2, 3), (2, 3)] += [GAIN**-2, OFFSET**-2]
-            g[:, 2:] += ([1.0, 0.0] - light[seen]) * [GAIN**-2, OFFSET**-2]
-            solved = np.linalg.solve(h[:, 2:, 2:], np.concatenate([h[:, 2:, :2], g[:, 2:, None]], axis=2))
-            reduced = h[:, :2, :2] - h[:, :2, 2:] @ solved[:, :, :2]
-            right = g[:, :2] - (h[:, :2, 2:] @ solved[:, :, 2:])[..., 0]
-            whole = np.zeros((size, 2, size, 2))
-            whole[np.arange(size), :, np.arange(size)] = reduced
-            whole[:, (0, 1), :, (0, 1)] += precision
-            whole = whole.reshape(2 * size, 2 * size)
-            right += precision @ (detected - shift)[seen]
-            step = np.clip(np.linalg.solve(whole, right.ravel()).reshape(size, 2), -_LONGEST, _LONGEST)
-            light[seen] += solved[:, :, 2] - np.einsum("fij,fj->fi", solved[:, :, :2], step)
-            shift[seen] += step
-        variance = np.diag(np.linalg.inv(whole)).reshape(size, 2).mean(axis=1)
-        return patches.homes + shift, variance
+        """Pixels (40, 2) of the features after the rounds, and the variance (n,) px^2 that is left of each one seen."""
+        gradients = (cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1)))
+        images = (picture, *gradients)
+        homes, p = patches.homes[seen], self.parameters
+        start, detected = features.pixels[seen] - homes, found.pixels[seen] - homes
+        shift, variance = align_patches(
+            images, *patches.arrays, seen, start, detected, precision, p.rounds, float(p.noise) ** 2
+        )  # fmt: skip
+        pixels = features.pixels.copy()
+        pixels[seen] = homes + shift
+        return pixels, variance
 
 
 class _Patches:
@@ -152,70 +136,24 @@ def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndar
 
 
 @numba.njit(cache=True, nogil=True)
-def _carry(mesh, triangles, weights):
-    """Samples on a mesh (N, 3) in the camera frame: points (Q, 3), and the cosine between skin and viewing ray (Q,)."""
-    points, facing = np.empty((len(triangles), 3)), np.empty(len(triangles))
+def _carry(mesh, triangles, corners, nearness, area, focal):
+    """Samples on a mesh (N, 3) in the camera frame: points (Q, 3), and by how much each of them counts (Q,).
+
+    Less where the skin turns away; and at most as the independent pixels that it stands for.
+    """
+    points, counts = np.empty((len(triangles), 3)), np.empty(len(triangles))
     for q in range(len(triangles)):
         a, b, c = triangles[q]
         for k in range(3):
-            points[q, k] = weights[q, 0] * mesh[a, k] + weights[q, 1] * mesh[b, k] + weights[q, 2] * mesh[c, k]
+            points[q, k] = corners[q, 0] * mesh[a, k] + corners[q, 1] * mesh[b, k] + corners[q, 2] * mesh[c, k]
         along, normal, distance = 0.0, 0.0, 0.0
         for k in range(3):
             i, j = (k + 1) % 3, (k + 2) % 3
-            n = (mesh[b, i] - mesh[a, i]) * (mesh[c, j] - mesh[a, j]) - (mesh[b, j] - mesh[a, j]) * (mesh[c, i] - mesh[a, i])
+            n = (mesh[b, i] - mesh[a, i]) * (mesh[c, j] - mesh[a, j]) - (mesh[b, j] - mesh[a, j]) * (
+                mesh[c, i] - mesh[a, i]
+            )
             along, normal, distance = along + n * points[q, k], normal + n * n, distance + points[q, k] ** 2
-        facing[q] = -along / max(np.sqrt(normal * distance), 1e-9)
-    return points, facing
-
-
-@numba.njit(cache=True, nogil=True)
-def _normal_equations(picture, gradient_u, gradient_v, pixels, weights, colours, starts, shift, light, floor):
-    """Of every patch f: H (F, 4, 4) and g (F, 4) in (shift u, shift v, gain, offset), samples with Cauchy's weights.
-
-    A channel's scale is its weighted mean square residual in the patch, at least ``floor``.
-    """
-    count, (height, width) = len(starts) - 1, picture.shape[:2]
-    h, g = np.zeros((count, 4, 4)), np.zeros((count, 4))
-    longest = 0
-    for f in range(count):
-        longest = max(longest, starts[f + 1] - starts[f])
-    values, row = np.empty((longest, 3, 3)), np.empty(4)
-    for f in range(count):
-        total, scale = 0.0, np.zeros(3)
-        for q in range(starts[f], starts[f + 1]):
-            if weights[q] == 0.0:
-                continue
-            x = min(max(pixels[q, 0] + shift[f, 0], 0.0), width - 1.001)
-            y = min(max(pixels[q, 1] + shift[f, 1], 0.0), height - 1.001)
-            i, j = int(y), int(x)
-            b, a = y - i, x - j
-            out = values[q - starts[f]]
-            for c in range(3):
-                for k in range(3):
-                    image = picture if k == 0 else gradient_u if k == 1 else gradient_v
-                    out[k, c] = (1 - b) * ((1 - a) * image[i, j, c] + a * image[i, j + 1, c]) + b * (
-                        (1 - a) * image[i + 1, j, c] + a * image[i + 1, j + 1, c]
-                    )
-                gain, offset = (light[f, 0], light[f, 1]) if c == 0 else (1.0, 0.0)
-                out[0, c] -= gain * colours[q, c] + offset
-                scale[c] += weights[q] * out[0, c] ** 2
-            total += weights[q]
-        if total == 0.0:
-            continue
-        for c in range(3):
-            scale[c] = max(scale[c] / total, floor)
-        for q in range(starts[f], starts[f + 1]):
-            if weights[q] == 0.0:
-                continue
-            out = values[q - starts[f]]
-            for c in range(3):
-                residual = out[0, c]
-                weight = weights[q] / (scale[c] + 0.25 * residual**2)
-                lit = c == 0
-                row[0], row[1] = out[1, c], out[2, c]
-                row[2], row[3] = (-colours[q, c], -1.0) if lit else (0.0, 0.0)
-                for k in range(4):
-                    g[f, k] -= weight * row[k] * residual
-                    for m in range(4):
-                        h[f, k, m] += weight * row[k] * row[m]
-    return h, g
+        facing = (-along / max(np.sqrt(normal * distance), 1e-9) - FACING[0]) / (FACING[1] - FACING[0])
+        pixels = min(area[q] * (focal / points[q, 2]) ** 2, 1.0) / CORRELATED
+        counts[q] = nearness[q] * min(max(facing, 0.0), 1.0) * pixels
+    return points, counts

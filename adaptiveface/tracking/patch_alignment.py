@@ -1,0 +1,134 @@
+"""Patches of skin moved to where the picture shows them: the compiled steps of ``feature_refinement.py``.
+
+All rounds are one call: in NumPy the small systems took more time than the samples, and kept Python's interpreter from the
+threads beside the tracker.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+#: Deviations of the gain and the offset (percent) of a patch's brightness from one and zero.
+GAIN, OFFSET = 0.3, 20.0
+#: px: longest step of a round.
+_LONGEST = 1.5
+
+
+@numba.njit(cache=True, nogil=True)
+def align_patches(images, pixels, weights, colours, starts, seen, shift, detected, precision, rounds, floor):
+    """Gauss-Newton: shifts (n, 2) px of the patches ``seen`` (n,), and the variance (n,) px^2 that is left of each.
+
+    images, three (H, W, 3) float32: the picture's channels, their gradients along u, and along v. Samples of patch f
+    are ``starts[f]`` to ``starts[f + 1]`` of pixels (Q, 2), weights (Q,) and colours (Q, 3) of the neutral. shift (n, 2)
+    to begin with; detected (n, 2) with precision (n, n) px^-2 of u and of v; ``floor``: least variance of a channel.
+    """
+    n = len(seen)
+    shift, light = shift.copy(), np.zeros((n, 2))
+    light[:, 0] = 1.0
+    gains, rests = np.zeros((n, 2, 2)), np.zeros((n, 2))  # of the brightness, per shift and without one
+    whole = np.zeros((2 * n, 2 * n))
+    for _ in range(rounds):
+        right = (precision @ (detected - shift)).ravel()
+        for i in range(n):
+            for j in range(n):
+                for k in range(2):
+                    whole[2 * i + k, 2 * j + k] = precision[i, j]
+                    whole[2 * i + k, 2 * j + 1 - k] = 0.0
+        for i in range(n):
+            a, b = starts[seen[i]], starts[seen[i] + 1]
+            h, g = _normal_equations(images, pixels[a:b], weights[a:b], colours[a:b], shift[i], light[i], floor)
+            _eliminate_light(h, g, light[i], gains[i], rests[i])
+            for k in range(2):
+                right[2 * i + k] += g[k]
+                for m in range(2):
+                    whole[2 * i + k, 2 * i + m] += h[k, m]
+        step = np.linalg.solve(whole, right)
+        for i in range(n):
+            for k in range(2):
+                step[2 * i + k] = min(max(step[2 * i + k], -_LONGEST), _LONGEST)
+                shift[i, k] += step[2 * i + k]
+            for k in range(2):
+                light[i, k] += rests[i, k] - gains[i, k, 0] * step[2 * i] - gains[i, k, 1] * step[2 * i + 1]
+    covariance, variance = np.linalg.inv(whole), np.empty(n)
+    for i in range(n):
+        variance[i] = 0.5 * (covariance[2 * i, 2 * i] + covariance[2 * i + 1, 2 * i + 1])
+    return shift, variance
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal_equations(images, pixels, weights, colours, shift, light, floor):
+    """H (4, 4) and g (4,) of one patch in (shift u, shift v, gain, offset), samples with Cauchy's weights.
+
+    A channel's scale is its weighted mean square residual in the patch, at least ``floor``. Only the brightness has a gain
+    and an offset.
+    """
+    height, width = images[0].shape[:2]
+    h, g = np.zeros((4, 4)), np.zeros(4)
+    values, scale, total = np.empty((len(pixels), 3, 3)), np.zeros(3), 0.0
+    for q in range(len(pixels)):
+        if weights[q] == 0.0:
+            continue
+        x = min(max(pixels[q, 0] + shift[0], 0.0), width - 1.001)
+        y = min(max(pixels[q, 1] + shift[1], 0.0), height - 1.001)
+        i, j = int(y), int(x)
+        b, a = y - i, x - j
+        for k in range(3):
+            image = images[k]
+            for c in range(3):
+                above = (1 - a) * image[i, j, c] + a * image[i, j + 1, c]
+                below = (1 - a) * image[i + 1, j, c] + a * image[i + 1, j + 1, c]
+                values[q, k, c] = (1 - b) * above + b * below
+        values[q, 0, 0] -= light[0] * colours[q, 0] + light[1]
+        values[q, 0, 1] -= colours[q, 1]
+        values[q, 0, 2] -= colours[q, 2]
+        for c in range(3):
+            scale[c] += weights[q] * values[q, 0, c] ** 2
+        total += weights[q]
+    if total == 0.0:
+        return h, g
+    scale = np.maximum(scale / total, floor)
+    for q in range(len(pixels)):
+        if weights[q] == 0.0:
+            continue
+        for c in range(3):
+            residual, du, dv = values[q, 0, c], values[q, 1, c], values[q, 2, c]
+            weight = weights[q] / (scale[c] + 0.25 * residual**2)
+            h[0, 0] += weight * du * du
+            h[0, 1] += weight * du * dv
+            h[1, 1] += weight * dv * dv
+            g[0] -= weight * du * residual
+            g[1] -= weight * dv * residual
+            if c == 0:
+                colour = colours[q, 0]
+                h[0, 2] -= weight * du * colour
+                h[1, 2] -= weight * dv * colour
+                h[0, 3] -= weight * du
+                h[1, 3] -= weight * dv
+                h[2, 2] += weight * colour * colour
+                h[2, 3] += weight * colour
+                h[3, 3] += weight
+                g[2] += weight * colour * residual
+                g[3] += weight * residual
+    for k in range(4):
+        for m in range(k):
+            h[k, m] = h[m, k]
+    return h, g
+
+
+@numba.njit(cache=True, nogil=True)
+def _eliminate_light(h, g, light, gains, rests):
+    """Reduce H and g to the shift, in place; gain and offset, with their priors, follow as ``rests - gains @ step``."""
+    prior_gain, prior_offset = GAIN**-2, OFFSET**-2
+    h_gain, h_offset, h_both = h[2, 2] + prior_gain, h[3, 3] + prior_offset, h[2, 3]
+    g_gain, g_offset = g[2] + (1.0 - light[0]) * prior_gain, g[3] - light[1] * prior_offset
+    determinant = h_gain * h_offset - h_both * h_both
+    rests[0] = (h_offset * g_gain - h_both * g_offset) / determinant
+    rests[1] = (h_gain * g_offset - h_both * g_gain) / determinant
+    for k in range(2):
+        gains[0, k] = (h_offset * h[2, k] - h_both * h[3, k]) / determinant
+        gains[1, k] = (h_gain * h[3, k] - h_both * h[2, k]) / determinant
+    for k in range(2):
+        g[k] -= h[2, k] * rests[0] + h[3, k] * rests[1]
+        for m in range(2):
+            h[k, m] -= h[2, k] * gains[0, m] + h[3, k] * gains[1, m]
