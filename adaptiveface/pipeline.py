@@ -47,12 +47,21 @@ class TrackingInterrupted(KeyboardInterrupt):
 class FrameReader:
     """Reads the frames of a source with their 2D features, and keeps count of the broken ones.
 
-    ``detector`` is made on first need when None. ``skipped``: index -> reason of every frame that could not be used.
+    A context manager. ``detector`` is made on first need when None, and closed at the end. ``skipped``: index -> reason of
+    every frame that could not be used.
     """
 
     def __init__(self, source: FrameSource, detector: FeatureDetector | None = None) -> None:
         self.source, self.detector = source, detector
+        self._own_detector: FeatureDetector | None = None
         self.skipped: dict[int, str] = {}
+
+    def __enter__(self) -> FrameReader:
+        return self
+
+    def __exit__(self, *_) -> None:
+        if self._own_detector is not None:
+            self._own_detector.close()
 
     def read(self, index: int) -> RgbdFrame | None:
         """Frame ``index`` with features where a face is seen; None (and an entry in ``skipped``) for a broken frame."""
@@ -66,7 +75,7 @@ class FrameReader:
         if frame.colour is None:
             raise TrackingError(f"{self.source.name}: neither colour images nor features.csv, so no face can be found")
         if self.detector is None:
-            self.detector = FeatureDetector()
+            self.detector = self._own_detector = FeatureDetector()
         return dataclasses.replace(frame, features=self.detector.detect(frame))
 
     def timestamp(self, index: int) -> float:
@@ -101,10 +110,10 @@ def capture_from(
     proportions (``neutral/colour.py``). ``model``: the embedded one by default. ``progress`` shows bars on stderr. Raises
     :class:`TrackingError` when no face is found.
     """
-    reader = FrameReader(source, detector)
     frames = []
     stride = 1 if neutral_frames else max(1, math.ceil(len(source) / MAX_NEUTRAL_FRAMES))
-    with _bar(progress, total=neutral_frames, desc="reading the neutral", unit="frame", leave=False) as bar:
+    reading = {"total": neutral_frames, "desc": "reading the neutral", "unit": "frame", "leave": False}
+    with FrameReader(source, detector) as reader, _bar(progress, **reading) as bar:
         for index in range(0, len(source), stride):
             frame = reader.read(index)
             if frame is not None and (neutral_frames is None or face_found(frame)):
@@ -141,10 +150,14 @@ def track_source(
     """
     parameters = parameters or Parameters()
     colour_only = getattr(source, "colour_only", False)
-    reader, tracker = FrameReader(source, detector), make_tracker(actor, parameters, colour_only)
+    tracker = make_tracker(actor, parameters, colour_only)
     builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only)
     try:
-        with one_blas_thread(), _bar(progress, total=len(source), desc="tracking", unit="frame") as bar:
+        with (
+            FrameReader(source, detector) as reader,
+            one_blas_thread(),
+            _bar(progress, total=len(source), desc="tracking", unit="frame") as bar,
+        ):
             for index in range(len(source)):
                 bar.update()
                 frame = reader.read(index)

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import hashlib
 import importlib.util
 import subprocess
 import sys
+import weakref
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from adaptiveface import pipeline
+from adaptiveface.camera import Camera
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError
-from adaptiveface.frame import FEATURE_IDS, MEDIAPIPE_INDICES
+from adaptiveface.frame import FEATURE_IDS, MEDIAPIPE_INDICES, RgbdFrame
 from adaptiveface.landmarks import FeatureDetector, face_landmarker_file, model_file
 from adaptiveface.landmarks.detector import TRUST, confidence, feature_pixels, foreground_box
 from adaptiveface.mesh import rigid_alignment, transform_points
+from adaptiveface.pipeline import FrameReader
 from adaptiveface.sensors import Recording
 from adaptiveface.synthetic.sensor import SyntheticSensor
 
@@ -208,6 +213,50 @@ def test_nothing_is_left_on_stderr():
     if "could not be fetched" in run.stderr:
         pytest.skip("the model file cannot be fetched here")
     assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_a_detector_that_is_dropped_is_closed_by_the_next_and_never_by_the_collector(detector):
+    """MediaPipe's own finaliser, run by the garbage collector on an open landmarker of a cycle, waits for ever."""
+    dropped = FeatureDetector(detector._path)
+    dropped.itself, landmarker = dropped, weakref.ref(dropped._landmarker)
+    del dropped
+    gc.collect()
+    assert landmarker() is not None and landmarker()._handle
+    FeatureDetector(detector._path).close()
+    gc.collect()
+    assert landmarker() is None
+
+
+def test_reading_frames_closes_the_detector_that_it_made(monkeypatch):
+    made = []
+
+    class Detector:
+        closed = 0
+
+        def __init__(self) -> None:
+            made.append(self)
+
+        def detect(self, frame):
+            return None
+
+        def close(self) -> None:
+            self.closed += 1
+
+    class Source:
+        name = "colour"
+
+        def read(self, index: int) -> RgbdFrame:
+            camera = Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
+            return RgbdFrame(np.zeros((4, 4), np.float32), camera, np.zeros((4, 4, 3), np.uint8), index, index / 30)
+
+    monkeypatch.setattr(pipeline, "FeatureDetector", Detector)
+    with FrameReader(Source()) as reader:
+        reader.read(0)
+        reader.read(1)
+    given = Detector()
+    with FrameReader(Source(), given) as reader:
+        reader.read(0)
+    assert [d.closed for d in made] == [1, 0]
 
 
 # ---- the model's features on MediaPipe's mesh ------------------------------------------------------------------------

@@ -17,6 +17,7 @@ import atexit
 import os
 import sys
 import weakref
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
@@ -42,12 +43,27 @@ MAX_FACES = 3
 #: model's feature, alike on every face. Made by ``data_synth/place_detected_features.py``.
 _PLACES = "mediapipe_features.npz"
 
-_live: weakref.WeakSet = weakref.WeakSet()
+#: Landmarkers of MediaPipe that are not closed yet, and those whose detector is gone. MediaPipe's own finaliser waits for a
+#: thread that the garbage collector may have ended already, then for ever: it must never find one open.
+_open: set = set()
+_abandoned: deque = deque()
 
 
 @atexit.register  # earlier than the import of MediaPipe, hence run after its own handler, which makes closing quiet
 def _close_all() -> None:
-    for landmarker in list(_live):
+    _abandoned.extend(_open)
+    _close_abandoned()
+
+
+def _close_abandoned() -> None:
+    """Not when a detector is collected, which may happen at any step, with locks held: when the next one is made."""
+    while _abandoned:
+        _close(_abandoned.popleft())
+
+
+def _close(landmarker) -> None:
+    if landmarker in _open:
+        _open.discard(landmarker)
         with suppress(RuntimeError):
             landmarker.close()
 
@@ -62,6 +78,9 @@ class FeatureDetector:
 
     def __init__(self, model_path: str | os.PathLike | None = None, *, video: bool = False) -> None:
         mediapipe, vision, base_options = _import_mediapipe()
+        _close_abandoned()
+        self._loaded: list = []
+        weakref.finalize(self, _abandoned.extend, self._loaded).atexit = False
         self._path = os.fspath(model_path or face_landmarker_file())
         self._vision, self._base_options = vision, base_options
         self._image = lambda pixels: mediapipe.Image(
@@ -82,7 +101,8 @@ class FeatureDetector:
         try:
             with _native_stderr_closed():
                 landmarker = self._vision.FaceLandmarker.create_from_options(options)
-                _live.add(landmarker)
+                _open.add(landmarker)
+                self._loaded.append(landmarker)
                 if mode == self._vision.RunningMode.IMAGE:
                     landmarker.detect(self._image(np.zeros((64, 64, 3), np.uint8)))
         except OSError as error:
@@ -95,10 +115,8 @@ class FeatureDetector:
 
     def close(self) -> None:
         """Release MediaPipe's threads and memory; safe to call twice."""
-        for landmarker in (self._landmarker, self._video):
-            if landmarker in _live:
-                _live.discard(landmarker)
-                landmarker.close()
+        for landmarker in self._loaded:
+            _close(landmarker)
 
     def detect(self, frame: RgbdFrame) -> Features2D | None:
         """Features in pixels of the frame with their :func:`confidence`; None without a colour image or without a face.
@@ -130,8 +148,8 @@ class FeatureDetector:
     def _detect_stream(self, frame: RgbdFrame) -> list[np.ndarray]:
         """As :meth:`detect_meshes`, for the next frame of a stream."""
         if self._video_size not in ((), frame.colour.shape):  # where the faces were is stored as a share of the image
-            _live.discard(self._video)
-            self._video.close()
+            _close(self._video)
+            self._loaded.remove(self._video)
             self._video, self._clock = self._load(self._vision.RunningMode.VIDEO), VideoClock()
         self._video_size = frame.colour.shape
         found = self._video.detect_for_video(self._image(frame.colour), self._clock.tick(frame.timestamp))

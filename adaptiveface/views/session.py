@@ -101,13 +101,14 @@ def load_session(
 
 def _recorded(source: str, neutral_frames: int, count: int, first: int) -> Session:
     opened = open_source(source)
-    reader, found = FrameReader(opened), []
-    for index in range(first, len(opened)):
-        frame = reader.read(index)
-        if frame is not None:
-            found.append(frame)
-        if len(found) == neutral_frames + count:
-            break
+    found = []
+    with FrameReader(opened) as reader:
+        for index in range(first, len(opened)):
+            frame = reader.read(index)
+            if frame is not None:
+                found.append(frame)
+            if len(found) == neutral_frames + count:
+                break
     if len(found) <= neutral_frames:
         raise AdaptiveFaceError(
             f"{source}: {len(found)} usable frames; more than the {neutral_frames} neutral ones are needed"
