@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 import subprocess
 import sys
 import time
@@ -23,9 +24,9 @@ from adaptiveface.errors import (
     SensorNotFoundError,
 )
 from adaptiveface.sensors import LiveSensor, Recording, list_sensors, open_sensor, open_source, openni2
+from adaptiveface.sensors.file_player import FilePlayer
 from adaptiveface.sensors.openni2 import best_modes, connected_cameras
 from adaptiveface.sensors.openni2_library import OpenNI2Error, VideoMode
-from adaptiveface.sensors.openni2_playback import OniPlayback
 
 try:
     CONNECTED = connected_cameras()
@@ -169,18 +170,18 @@ def test_a_damaged_recording_that_crashes_the_library_is_an_error_that_names_it(
     error = capsys.readouterr().err
     assert f"{path}: " in error and error.count("\n") == 1 and not (tmp_path / "out").exists()
     if sys.platform == "linux":
-        assert "the OpenNI2 library crashed while reading it, when it was opened; the file is damaged" in error
+        assert "the OpenNI2 library crashed or hung while reading it, when it was opened; it is damaged" in error
 
 
 def test_a_library_that_dies_in_the_midst_is_an_error_and_leaves_no_process(tmp_path):
-    player = OniPlayback(write(tmp_path / "take.oni"))
+    player = FilePlayer(write(tmp_path / "take.oni"))
     player.open()
     child, frame = player._child, None
     while frame is None:
         frame = player.grab(1.0)
     np.testing.assert_array_equal(frame.depth, DEPTH[0])
     child.kill()
-    with pytest.raises(SensorError, match="take.oni: the OpenNI2 library crashed while reading it, after . frames"):
+    with pytest.raises(SensorError, match="take.oni: the OpenNI2 library crashed or hung while reading it, after . frames"):
         while True:
             player.grab(1.0)
     player.close()
@@ -189,16 +190,42 @@ def test_a_library_that_dies_in_the_midst_is_an_error_and_leaves_no_process(tmp_
 
 
 def test_the_player_ends_with_the_process_that_started_it(tmp_path):
-    player = OniPlayback(write(tmp_path / "take.oni"))
+    player = FilePlayer(write(tmp_path / "take.oni"))
     player.open()
     player._child.stdin.close()  # as the system does when that process is gone
     assert player._child.wait(30) == 1
     player.close()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="the C library's sleep")
+def test_a_library_that_hangs_is_an_error(tmp_path):
+    """Even one that never gives Python's interpreter back, as the RealSense library on some damaged files."""
+    code = f"""
+import ctypes, sys, types
+from pathlib import Path
+from adaptiveface.sensors import file_player
+
+class Hangs:
+    def __init__(self, path): pass
+    def open(self): ctypes.PyDLL(None).sleep(600)
+
+module = sys.modules["adaptiveface.sensors.hangs"] = types.ModuleType("hangs")
+module.Hangs = Hangs
+file_player.PLAYERS[".oni"] = ("hangs", "Hangs", "hanging")
+file_player.PATIENCE_SECONDS = 0.5
+file_player.main(Path({str(tmp_path / "take.oni")!r}))
+"""
+    player = FilePlayer(tmp_path / "take.oni")
+    player._command = [sys.executable, "-c", code]
+    with pytest.raises(SensorError, match="crashed or hung while reading it, when it was opened"):
+        player.open()
+    assert player._child.wait(30) == 1
+    player.close()
+
+
 def test_what_is_no_message_is_a_crash(tmp_path):
     """Whatever a child that has lost its mind may write."""
-    player = OniPlayback(write(tmp_path / "take.oni"))
+    player = FilePlayer(write(tmp_path / "take.oni"))
     for line in (b"", b"[]", b"7", b"{}", b'{"kind": "frame"}', b"x" * 10_000, b'{"kind": "error", "error": "os"}'):
         with subprocess.Popen(
             [sys.executable, "-c", f"import sys; sys.stdout.buffer.write({line!r})"], stdin=subprocess.PIPE,

@@ -81,6 +81,7 @@ def test_depth_in_millimetres_with_calibration_and_clock(units):
     with camera.sensor() as sensor:
         camera.push(5, depth, BLACK + 90)
         frame = sensor.read(10)
+        assert sensor.depth_scale == round(1 / units)  # a recording keeps these steps
     np.testing.assert_array_equal(frame.depth, depth * np.float32(units * 1000))
     assert (frame.camera.fx, frame.camera.cx, frame.camera.cy) == (525, 319.5, 239.5)
     assert frame.sequence == 5 and frame.device_timestamp == pytest.approx(5 / FPS)
@@ -202,7 +203,7 @@ def test_playback_waits_until_every_stream_has_started(db3, monkeypatch):
         return profile
 
     monkeypatch.setattr(rs.pipeline, "start", slow_start)
-    with open_sensor(str(db3)) as sensor:
+    with LiveSensor(lambda: RealSenseDriver(path=db3), reconnect=False) as sensor:
         assert sensor.read().sequence == 0
     assert before == [(rs.playback_status.paused, 0)]
 

@@ -16,6 +16,7 @@ from ..errors import FileFormatError, ParameterError
 from ..frame import RgbdFrame
 from ..synthetic.noise import DEPTH_SCALES
 from .catalogue import SensorInfo, list_sensors, open_sensor
+from .file_player import PLAYERS
 from .live import LiveFrame, LiveSensor
 from .recording import Recording, RecordingWriter
 from .video_file import VideoFile, is_video
@@ -62,7 +63,7 @@ def open_source(text: str) -> FrameSource:
         from .record3d import R3dRecording
 
         return R3dRecording(text)
-    if text.lower().endswith((".db3", ".bag", ".oni", ".mkv")) and Path(text).is_file():
+    if text.lower().endswith(tuple(PLAYERS)) and Path(text).is_file():
         folder = Path(text).with_suffix("")
         convert = shlex.join(["adaptiveface", "convert", text, "--out", str(folder)])
         raise FileFormatError(f"{text}: plays from start to end only; first: {convert}; then use {folder}")

@@ -118,6 +118,7 @@ class AzureDriver:
         if colour is not None:
             rotation, metres = calibration.get_extrinsic_parameters(kinds.DEPTH, kinds.COLOR)
         self._registration = Registration(depth, colour, rotation, 1000.0 * np.asarray(metres))
+        self.camera = self._registration.camera
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; None where there is no depth."""
@@ -146,7 +147,7 @@ class AzureDriver:
         colour = None if capture.color is None else _rgb(self._k4a, capture.color, self._format)
         if colour is not None:
             colour = self._registration.colour(colour, depth)
-        return RawFrame(depth, self._registration.camera, colour, self._number(seconds), seconds)
+        return RawFrame(depth, self.camera, colour, self._number(seconds), seconds)
 
     def _number(self, seconds: float) -> int:
         """Frames have no number: it is told by the device's clock, and always goes up."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import DriverMissingError, ParameterError, SensorError
+from .file_player import PLAYERS, FilePlayer
 from .live import LiveSensor
 from .playback import EXPRESSION_FRAMES, NEUTRAL_FRAMES, PlaybackDriver, SyntheticDriver
 
@@ -77,15 +78,9 @@ def _azure(argument: str) -> LiveSensor:
         from .azure import AzureDriver
 
         return LiveSensor(lambda: AzureDriver(int(argument or 0)))
-    if not Path(argument).is_file():
+    if not (argument.lower().endswith(".mkv") and Path(argument).is_file()):
         raise SensorError(f"azure:{argument}: neither the number of a camera nor a recording (.mkv)")
-    return _azure_file(Path(argument))
-
-
-def _azure_file(path: Path) -> LiveSensor:
-    from .azure import AzureDriver
-
-    return LiveSensor(lambda: AzureDriver(path=path), reconnect=False)
+    return _play_apart(Path(argument))
 
 
 def _orbbec(serial: str) -> LiveSensor:
@@ -120,8 +115,6 @@ _KINDS = {
     "kinect2": _kinect2,
     "webcam": _webcam,
 }
-_REALSENSE_FILES = (".db3", ".bag")
-_AZURE_FILES = (".mkv",)
 POSSIBLE = (
     "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
     "'openni2[:URI or INDEX]', 'kinect1[:INDEX]', 'azure[:INDEX]', 'orbbec[:SERIAL]', 'oak[:ID]', "
@@ -223,17 +216,13 @@ def open_sensor(text: str) -> LiveSensor:
 
 
 def _open_path(path: Path) -> LiveSensor:
-    if path.suffix.lower() in _REALSENSE_FILES and path.is_file():
-        from .realsense import RealSenseDriver
-
-        return LiveSensor(lambda: RealSenseDriver(path=path), reconnect=False)
-    if path.suffix.lower() in _AZURE_FILES and path.is_file():
-        return _azure_file(path)
-    if path.suffix.lower() == ".oni" and path.is_file():
-        from .openni2_playback import OniPlayback
-
-        return LiveSensor(lambda: OniPlayback(path), reconnect=False)
+    if path.suffix.lower() in PLAYERS and path.is_file():
+        return _play_apart(path)
     from . import open_source
 
     source = open_source(str(path))
     return LiveSensor(lambda: PlaybackDriver(source), reconnect=False)
+
+
+def _play_apart(path: Path) -> LiveSensor:
+    return LiveSensor(lambda: FilePlayer(path), reconnect=False)

@@ -1,16 +1,19 @@
-"""``.oni`` recordings, played by a process of their own: a damaged file can crash the vendor's library, and only that.
+"""Vendors' recordings, played by a process of their own: a damaged file can crash or hang the vendor's library.
 
-The child (:func:`main`) reads the file with :class:`OpenNI2Driver` and writes messages to its standard output: a line of
+The child (:func:`main`) reads the file with the vendor's driver and writes messages to its standard output: a line of
 JSON, for a frame followed by the bytes of depth (float32 mm) and colour. The pipe holds it back while nobody reads.
 """
 
 from __future__ import annotations
 
+import faulthandler
+import importlib
 import json
 import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import BinaryIO
@@ -20,9 +23,19 @@ import numpy as np
 from .. import errors
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, SensorError
-from .live import POLL_SECONDS, RawFrame
-from .openni2 import FPS, OpenNI2Driver
+from .driver import Driver, RawFrame
+from .live import POLL_SECONDS
 
+#: By suffix: the module and the class of the driver whose ``path`` is such a file (it knows its ``camera`` once it is open),
+#: and the library that reads it.
+PLAYERS = {
+    ".oni": ("openni2", "OpenNI2Driver", "OpenNI2"),
+    ".db3": ("realsense", "RealSenseDriver", "RealSense"),
+    ".bag": ("realsense", "RealSenseDriver", "RealSense"),
+    ".mkv": ("azure", "AzureDriver", "Azure Kinect"),
+}
+#: Longest that a library may take to open a file, or to read a frame, s; no file that is well takes a tenth of it.
+PATIENCE_SECONDS = 20.0
 #: A longer line is none of the child's, bytes; no camera has a longer side, px.
 LONGEST_LINE, LONGEST_SIDE = 4096, 8192
 #: The kinds of messages, and what each one holds.
@@ -33,23 +46,23 @@ _MESSAGES = {
 _ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind, type)}
 
 
-class OniPlayback:
-    """Plays the recording at ``path`` as :class:`OpenNI2Driver` does, frame by frame as it is read."""
+class FilePlayer:
+    """Plays the recording at ``path`` as the driver of its suffix does, frame by frame as it is read."""
 
     live, has_features = False, False
 
     def __init__(self, path: Path) -> None:
         self.path, self.name = Path(path), Path(path).stem
-        self.fps, self.depth_scale = float(FPS), 1000.0
+        self.fps, self.depth_scale = 30.0, 1000.0  # until it is open
+        self._command = [sys.executable, "-m", __name__, str(self.path.absolute())]
         self._child: subprocess.Popen | None = None
         self._frames = 0
 
     def open(self) -> None:
         """Start the child and wait for what the file holds; raises the driver's errors, as this process's own."""
-        command = [sys.executable, "-m", __name__, str(self.path.absolute())]
         apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
         self._child = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=_environment(),
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=_environment(),
             **apart,  # Ctrl-C is this process's affair
         )  # fmt: skip
         opened = self._message()
@@ -98,7 +111,8 @@ class OniPlayback:
 
     def _crashed(self) -> SensorError:
         after = f"after {self._frames} frames" if self._frames else "when it was opened"
-        return SensorError(f"{self.path}: the OpenNI2 library crashed while reading it, {after}; the file is damaged")
+        library = PLAYERS[self.path.suffix.lower()][2]
+        return SensorError(f"{self.path}: the {library} library crashed or hung while reading it, {after}; it is damaged")
 
 
 def _environment() -> dict[str, str]:
@@ -113,8 +127,9 @@ def main(path: Path) -> None:
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what the library prints is no message
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
+    module, name, _ = PLAYERS[path.suffix.lower()]
     try:
-        _play(OpenNI2Driver(path=path), pipe)
+        _play(getattr(importlib.import_module(f".{module}", __package__), name)(path=path), pipe)
     except AdaptiveFaceError as error:
         _say(pipe, kind="error", error=type(error).__name__, text=str(error))
     except OSError:
@@ -126,18 +141,18 @@ def main(path: Path) -> None:
 
 
 def _end_with_the_parent() -> None:
-    """Even where the library hangs: the standard input ends when the parent does."""
+    """The standard input ends when the parent does."""
     sys.stdin.buffer.read()
     os._exit(1)
 
 
-def _play(driver: OpenNI2Driver, pipe: BinaryIO) -> None:
-    driver.open()
+def _play(driver: Driver, pipe: BinaryIO) -> None:
+    _in_time(driver.open)
     if max(driver.camera.width, driver.camera.height) > LONGEST_SIDE:
         raise SensorError(f"{driver.path}: pictures of {driver.camera.width} x {driver.camera.height} pixels")
     _say(pipe, kind="open", fps=driver.fps, depth_scale=driver.depth_scale, camera=asdict(driver.camera))
     while True:
-        frame = driver.grab(POLL_SECONDS)
+        frame = _in_time(driver.grab, POLL_SECONDS)
         if frame is None:
             _say(pipe, kind="none")
             continue
@@ -147,6 +162,15 @@ def _play(driver: OpenNI2Driver, pipe: BinaryIO) -> None:
         if has_colour:
             pipe.write(np.ascontiguousarray(frame.colour))
         pipe.flush()
+
+
+def _in_time(call: Callable, *arguments):
+    """The call's result; where it takes too long this process ends, even if the library never gives the interpreter back."""
+    faulthandler.dump_traceback_later(PATIENCE_SECONDS, exit=True)
+    try:
+        return call(*arguments)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _say(pipe: BinaryIO, flush: bool = True, **message) -> None:

@@ -50,7 +50,7 @@ def connected_cameras() -> list[tuple[str, str]]:
 class OpenNI2Driver:
     """One camera, by URI or number or the first one; or the recording at ``path``, played as fast as it is read.
 
-    A damaged recording can crash the process: :class:`~adaptiveface.sensors.openni2_playback.OniPlayback` has one to spare.
+    A damaged recording can crash the process: :class:`~adaptiveface.sensors.file_player.FilePlayer` has one to spare.
     """
 
     has_features = False

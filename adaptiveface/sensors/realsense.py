@@ -95,6 +95,8 @@ class RealSenseDriver:
         stream = profile.get_stream(rs.stream.depth).as_video_stream_profile()
         self.fps = float(stream.fps())
         self.camera = self._camera(stream.get_intrinsics())
+        unit = self._device.first_depth_sensor().get_depth_scale()
+        self.depth_scale = round(1.0 / unit, 2)  # the SDK's unit is a float32, 0.0001 not quite
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; None where one of them is missing or of another moment."""
@@ -110,8 +112,8 @@ class RealSenseDriver:
         if colour:
             aligned = self._align.process(frames)
             depth, colour = aligned.get_depth_frame(), aligned.get_color_frame()
-        self.depth_scale = round(1.0 / depth.get_units(), 2)  # the SDK's unit is a float32, 0.0001 not quite
-        millimetres = np.asanyarray(depth.get_data()) * np.float32(1000.0 / self.depth_scale)
+        per_metre = round(1.0 / depth.get_units(), 2)
+        millimetres = np.asanyarray(depth.get_data()) * np.float32(1000.0 / per_metre)
         picture = self._rgb(colour) if colour else None
         return RawFrame(millimetres, self.camera, picture, depth.get_frame_number(), depth.get_timestamp() / 1000.0)
 
