@@ -97,6 +97,28 @@ def test_sliders_and_buttons_act_on_the_session(sensor, actor, strict, tmp_path)
     assert threads_of_ours() == [f"sensor {sensor.name}"]
 
 
+def test_a_view_that_starts_stops_the_one_before(actor, strict):
+    """As when the cell is run once more: the sensor is free again, and nothing goes on behind the page."""
+
+    async def scenario() -> None:
+        before = threads_of_ours()
+        with LiveSensor(lambda: HeadDriver(head_frames())) as one, LiveSensor(lambda: HeadDriver(head_frames())) as two:
+            first = views.LiveView(one, actor, parameters=QUICK)
+            await first.until(lambda v: v.result is not None)
+            second = views.LiveView(two, actor, parameters=QUICK)
+            assert first.run is None and "another live view" in first.controls.status.value
+            await second.until(lambda v: v.result is not None)
+            first.start()  # and back
+            assert second.run is None
+            await first.until(lambda v: v.result is not None)
+            second.close()
+            assert first.run is not None
+            first.close()
+        assert threads_of_ours() == before
+
+    asyncio.run(scenario())
+
+
 def test_errors_stand_in_the_panel(sensor, actor, monkeypatch):
     monkeypatch.delenv("ADAPTIVEFACE_STRICT", raising=False)
 

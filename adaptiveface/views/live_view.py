@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
+from typing import ClassVar
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, TrackingError
@@ -33,9 +34,12 @@ class LiveView:
 
     ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``character``: a
     built-in or own one that follows; ``detect``: MediaPipe even where the sensor brings features. ``widget`` is what to
-    display; :meth:`close` ends every thread. Draws on the kernel's event loop, always the newest result; from code:
+    display; :meth:`close` ends every thread. One view runs at a time: one that starts, e.g. because its cell is run once
+    more, stops the one before. Draws on the kernel's event loop, always the newest result; from code:
     :meth:`until`, and the methods behind the buttons.
     """
+
+    _running: ClassVar[LiveView | None] = None
 
     def __init__(
         self,
@@ -81,6 +85,8 @@ class LiveView:
         if running_loop() is None:
             raise AdaptiveFaceError("the live view needs a running event loop: use it in a notebook")
         self.stop()
+        if LiveView._running is not None:
+            LiveView._running._give_way()
         given = self._given
         chosen = given if isinstance(given, LiveSensor) else self.controls.sensor.value
         with self._shown():
@@ -88,10 +94,13 @@ class LiveView:
             self.run.on_result(self.curves.add)
             self.result = None
             self._task.start(self._draw_for_ever())
+            LiveView._running = self
 
     def stop(self) -> None:
         """Close the sensor and end every thread; the last pictures stay, and :meth:`start` begins again."""
         self._task.stop()
+        if LiveView._running is self:
+            LiveView._running = None
         if self.run is not None:
             self.record(False)
             self._actor = self.run.actor
@@ -168,6 +177,12 @@ class LiveView:
                 raise TrackingError(f"the live view is still {self.run.state} after {timeout:g} s")
             await asyncio.sleep(0.02)
         return self
+
+    def _give_way(self) -> None:
+        """Two views would fight for the camera and the processor."""
+        with self._shown():
+            self.stop()
+            self._say("stopped: another live view was started")
 
     # ---- drawing, on the kernel's main thread ----------------------------------------------------------------------
     async def _draw_for_ever(self) -> None:
