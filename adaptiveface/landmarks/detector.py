@@ -57,8 +57,9 @@ def _close_all() -> None:
 
 def _close_abandoned() -> None:
     """Not when a detector is collected, which may happen at any step, with locks held: when the next one is made."""
-    while _abandoned:
-        _close(_abandoned.popleft())
+    with suppress(IndexError):  # none is left; several threads may be at it
+        while True:
+            _close(_abandoned.popleft())
 
 
 def _close(landmarker) -> None:

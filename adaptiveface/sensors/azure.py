@@ -110,6 +110,7 @@ class AzureDriver:
             raise FileFormatError(f"{self.name}: depth mode {depth_mode!r} has no depth")
 
         def lens(kind, size) -> Lens:
+            """Calibration of one of the two cameras, for pictures of ``size`` (width, height) pixels."""
             return Lens(*size, calibration.get_camera_matrix(kind), calibration.get_distortion_coefficients(kind))
 
         depth = lens(kinds.DEPTH, _DEPTHS[int(depth_mode)])

@@ -149,9 +149,7 @@ def _carry(mesh, triangles, corners, nearness, area, focal):
         along, normal, distance = 0.0, 0.0, 0.0
         for k in range(3):
             i, j = (k + 1) % 3, (k + 2) % 3
-            n = (mesh[b, i] - mesh[a, i]) * (mesh[c, j] - mesh[a, j]) - (mesh[b, j] - mesh[a, j]) * (
-                mesh[c, i] - mesh[a, i]
-            )
+            n = (mesh[b, i] - mesh[a, i]) * (mesh[c, j] - mesh[a, j]) - (mesh[b, j] - mesh[a, j]) * (mesh[c, i] - mesh[a, i])
             along, normal, distance = along + n * points[q, k], normal + n * n, distance + points[q, k] ** 2
         facing = (-along / max(np.sqrt(normal * distance), 1e-9) - FACING[0]) / (FACING[1] - FACING[0])
         pixels = min(area[q] * (focal / points[q, 2]) ** 2, 1.0) / CORRELATED

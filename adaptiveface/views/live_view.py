@@ -271,7 +271,10 @@ class LiveView:
         c = self.controls
 
         def acts(action: Callable) -> Callable:
+            """What calls ``action`` without arguments on the kernel's main thread; its errors end in the panel."""
+
             def guarded(*_) -> None:
+                """Whatever the widget says of the event is ignored."""
                 with self._shown():
                     action()
 

@@ -64,6 +64,7 @@ class Session:
         return len(self.neutral) + len(self.frames)
 
     def read(self, index: int) -> RgbdFrame:
+        """Frame ``index``, from 0: the neutral ones, then the others. Raises IndexError beyond the last."""
         return self.neutral[index] if index < len(self.neutral) else self.frames[index - len(self.neutral)]
 
     @property
@@ -195,6 +196,7 @@ def _session(source: str, data: dict, neutral_frames: int, actor_file: Path) -> 
         )
 
     def truth(index: int) -> TruthFrame:
+        """The true head of frame ``index`` in the camera frame, mm; see :class:`TruthFrame`."""
         return TruthFrame(
             data["truth_vertices"][index].astype(float), data["truth_rigid"][index], int(data["performance"][index])
         )
