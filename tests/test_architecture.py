@@ -11,7 +11,12 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
 #: From the ground up, as docs/architecture.md has them.
 FLOORS = (
-    ("errors", "blas", "interrupt", "npz", "stages", "parameters", "camera", "frame", "mesh", "rendering", "lab", "appearance"),
+    (
+        *("errors", "files", "npz", "blas", "interrupt"),
+        *("stages", "parameters"),
+        *("camera", "frame", "mesh", "rendering", "appearance"),
+        *("lab",),
+    ),
     ("face_model", "actor", "blendshapes"),
     ("synthetic", "sensors", "landmarks"),
     ("tracking",),
