@@ -15,7 +15,7 @@ FLOORS = (
         *("errors", "files", "npz", "blas", "interrupt"),
         *("stages", "parameters"),
         *("camera", "frame", "mesh", "rendering", "appearance"),
-        *("lab",),
+        *("lab", "livelink"),
     ),
     ("face_model", "actor", "blendshapes"),
     ("synthetic", "sensors", "landmarks"),

@@ -13,7 +13,8 @@ FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "usd": ".usdc", "mp4":
 
 def add_export_arguments(command: argparse.ArgumentParser) -> None:
     """Options of ``adaptiveface export``."""
-    command.add_argument("result", type=Path, metavar="result.npz")
+    command.add_argument("result", type=Path, metavar="result.npz",
+                         help="a tracked result, or a take of Live Link Face (.csv), which drives --character")  # fmt: skip
     command.add_argument("--character", default="actor", metavar="NAME",
                          help=f"actor (the tracked mesh itself), {', '.join(BUILT_IN)}, or a .glb, .vrm, .npz file or "
                          "folder of OBJ files with ARKit names (default: %(default)s)")  # fmt: skip

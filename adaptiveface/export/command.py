@@ -10,6 +10,7 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, ParameterError
+from ..livelink.take import is_take
 from ..result import Result
 from ..retargeting import COEFFICIENTS
 from ..retargeting.arkit import arkit_weights
@@ -36,6 +37,10 @@ class ExportOptions:
 def run_export(args: argparse.Namespace) -> int:
     """``adaptiveface export``."""
     out = _output(args)
+    if is_take(args.result):
+        from .take import run_take_export
+
+        return run_take_export(args, out, _smoothing(args))
     result = Result.load(args.result)
     actor = _actor(args.actor, args.result.parent, result)
     options = ExportOptions(args.character, args.coefficients, _smoothing(args), args.correctives)

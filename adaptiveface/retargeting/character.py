@@ -70,11 +70,11 @@ class Character:
         return tuple(name for name in ARKIT_NAMES if name not in self.drivers)
 
     def weights(self, curves: np.ndarray) -> np.ndarray:
-        """(F, E) weights of the character's expressions for ARKit curves (F, 52)."""
+        """(F, E) weights in [0, 1] of the character's expressions for ARKit curves (F, 52)."""
         out = np.zeros((len(curves), len(self.expression_names)))
         for e, name in enumerate(self.drivers):
             if name is not None:
-                out[:, e] = curves[:, ARKIT_NAMES.index(name)]
+                out[:, e] = np.clip(curves[:, ARKIT_NAMES.index(name)], 0.0, 1.0)
         return out
 
     def shares_topology(self, triangles: np.ndarray) -> bool:

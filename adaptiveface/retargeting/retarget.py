@@ -21,14 +21,19 @@ from .smoothing import Smoothing
 class Performance:
     """What a character needs to perform: F frames.
 
-    curves (F, 52) ARKit curves in [0, 1], columns ``ARKIT_NAMES``; timestamps (F,) s; rigid (F, 4, 4) head to camera,
-    mm; unknown: expressions of the result that have no ARKit counterpart and therefore do not show.
+    curves (F, 52) ARKit curves, columns ``ARKIT_NAMES``, in [0, 1] (those of a phone's take may pass 1 by a little);
+    timestamps (F,) s; rigid (F, 4, 4) head to camera, mm; unknown: expressions of the result that have no ARKit
+    counterpart and therefore do not show; eyes (F, 6): measured yaw, pitch and roll of the left and of the right eye,
+    radians, as in :mod:`adaptiveface.livelink.convention`, or None: they follow from the curves; start: time of day of
+    the first frame, s.
     """
 
     curves: np.ndarray
     timestamps: np.ndarray
     rigid: np.ndarray
     unknown: tuple[str, ...] = ()
+    eyes: np.ndarray | None = None
+    start: float = 0.0
 
     def __len__(self) -> int:
         return len(self.curves)

@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 from ..camera import Camera
 from ..errors import FileFormatError, ParameterError
 from ..frame import RgbdFrame
+from ..livelink.take import is_take
 from ..synthetic.noise import DEPTH_SCALES
 from .catalogue import SensorInfo, list_sensors, open_sensor
 from .file_player import PLAYERS
@@ -67,6 +68,9 @@ def open_source(text: str) -> FrameSource:
         folder = Path(text).with_suffix("")
         convert = shlex.join(["adaptiveface", "convert", text, "--out", str(folder)])
         raise FileFormatError(f"{text}: plays from start to end only; first: {convert}; then use {folder}")
+    if is_take(text) and Path(text).is_file():
+        export = shlex.join(["adaptiveface", "export", text, "--character", "hag"])
+        raise FileFormatError(f"{text}: a take of curves has no pictures to track; it drives characters: {export}")
     if is_video(text):
         return VideoFile(text)
     if Path(text).exists():

@@ -1,0 +1,74 @@
+"""``adaptiveface export take.csv``: a take of Live Link Face drives a character, no tracking in between."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..livelink import ARKIT_NAMES, LiveLinkTake, read_take
+from ..retargeting import BUILT_IN
+from ..retargeting.character import Character, load_character
+from ..retargeting.retarget import Performance
+from ..retargeting.smoothing import Smoothing
+from .animation import AnimatedMesh, character_animation
+from .arkit_csv import take_performance, write_arkit_csv
+
+#: Options of ``export`` that need a tracked result, and their value when nobody asked for them.
+_OF_RESULTS = {"coefficients": "resolved", "correctives": False, "actor": None, "source": None, "compare": False}
+
+
+def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | None) -> int:
+    """Write ``args.format`` to ``out``; returns the exit status. Raises :class:`AdaptiveFaceError`."""
+    given = [f"--{name}" for name, default in _OF_RESULTS.items() if getattr(args, name) != default]
+    if given:
+        raise ParameterError(f"{args.result}: is a take of curves; {', '.join(given)} needs a tracked result.npz")
+    take = read_take(args.result)
+    performance = take_performance(take).smoothed(smoothing)
+    _say(take)
+    if args.format == "arkit-csv":
+        write_arkit_csv(out, performance)
+        print(f"{out}: {len(performance)} frames")
+        return 0
+    if args.character == "actor":
+        raise ParameterError(f"{args.result}: a take has no mesh of its own; --character {', '.join(BUILT_IN)} or a file")
+    character = load_character(args.character)
+    for line in take_coverage(take, character):
+        print(line)
+    mesh = character_animation(character, performance)
+    if args.format in ("mp4", "gif"):
+        write_character_video(out, mesh, performance, args.turntable)
+    else:
+        from .command import _write_mesh
+
+        _write_mesh(out, mesh, args.format)
+    print(f"{out}: {mesh.name}, {len(mesh)} frames, {len(mesh.target_names)} shapes")
+    return 0
+
+
+def _say(take: LiveLinkTake) -> None:
+    if take.absent:
+        print(f"columns that the take lacks, zero here: {', '.join(take.absent)}")
+    lost = int((~take.tracked).sum())
+    if lost:
+        print(f"{lost} of {len(take)} rows have no face and repeat the one before")
+
+
+def take_coverage(take: LiveLinkTake, character: Character) -> list[str]:
+    """What will not show, one line each: curves that move and that the character lacks, shapes that nothing drives."""
+    moving = {name for name, curve in zip(ARKIT_NAMES, take.curves.T, strict=True) if np.ptp(curve) > 1e-3}
+    missing = [name for name in character.missing if name in moving]
+    lines = [f"{character.name} lacks: {', '.join(missing)}"] if missing else []
+    if character.unknown:
+        lines.append(f"{character.name} has shapes that nothing drives: {', '.join(character.unknown)}")
+    return lines + list(character.notes)
+
+
+def write_character_video(path: Path, mesh: AnimatedMesh, performance: Performance, turntable: bool = False) -> None:
+    """The character alone, as ``.mp4`` or ``.gif``."""
+    from .video import character_panel, side_by_side, turntable_panel, write_video
+
+    panel = turntable_panel(mesh) if turntable else character_panel(mesh)
+    write_video(path, side_by_side([panel], [mesh.name], range(len(mesh))), performance.fps)

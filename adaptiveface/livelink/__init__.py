@@ -1,0 +1,9 @@
+"""Curves as iPhones send and store them: ARKit's 52 face shapes, head and eye rotations, in Live Link Face's conventions.
+
+``convention`` is the one place that holds signs, axes and units. ``take`` reads and writes Live Link Face's CSV.
+"""
+
+from .convention import ARKIT_NAMES, ROTATIONS
+from .take import LiveLinkTake, read_take, write_take
+
+__all__ = ["ARKIT_NAMES", "ROTATIONS", "LiveLinkTake", "read_take", "write_take"]

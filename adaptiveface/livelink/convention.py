@@ -1,0 +1,66 @@
+"""Names, signs, axes and units of Live Link Face: the only place that holds them.
+
+A face has its axes as ARKit's face anchor has: x to the subject's own left, y up, z out of the face, right-handed
+(Apple's pages on ``ARFaceAnchor``: somebody who looks to the left has a ``lookAtPoint`` with positive x). Our head frame
+has the same axes. Unreal's frame is (-z, x, y) of ARKit's and left-handed, and Epic's app writes the yaw, pitch and roll
+of a rotation there (``FRotator``: roll is applied first, then pitch, then yaw). The change of hands reverses every turn,
+and the change of axes reverses the first one again, so that in terms of the face
+
+* yaw is positive to the subject's right: minus the turn about y;
+* pitch is positive downwards: the turn about x;
+* roll is positive towards the subject's left shoulder: minus the turn about z;
+
+in radians, with the rotation R = R_y(-yaw) R_x(pitch) R_z(-roll). Eyes follow the same rule. A take of a real iPhone
+confirms it for them: their yaw is -0.607 (lookOut - lookIn) for the left eye and +0.603 for the right one, their pitch
+rises with lookDown, and their roll is 0.97 to 1.0 yaw pitch. This is what an eye gives that turns about y first and
+about x afterwards, and has the sign above. The head's angles are zero in that take. They follow from the axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+#: The 52 shapes in the order in which Live Link Face writes them to CSV.
+ARKIT_NAMES = (
+    "eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft",
+    "eyeWideLeft", "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight",
+    "eyeSquintRight", "eyeWideRight", "jawForward", "jawRight", "jawLeft", "jawOpen", "mouthClose", "mouthFunnel",
+    "mouthPucker", "mouthRight", "mouthLeft", "mouthSmileLeft", "mouthSmileRight", "mouthFrownLeft", "mouthFrownRight",
+    "mouthDimpleLeft", "mouthDimpleRight", "mouthStretchLeft", "mouthStretchRight", "mouthRollLower", "mouthRollUpper",
+    "mouthShrugLower", "mouthShrugUpper", "mouthPressLeft", "mouthPressRight", "mouthLowerDownLeft",
+    "mouthLowerDownRight", "mouthUpperUpLeft", "mouthUpperUpRight", "browDownLeft", "browDownRight", "browInnerUp",
+    "browOuterUpLeft", "browOuterUpRight", "cheekPuff", "cheekSquintLeft", "cheekSquintRight", "noseSneerLeft",
+    "noseSneerRight", "tongueOut",
+)  # fmt: skip
+#: The nine angles that follow the shapes, radians.
+ROTATIONS = ("HeadYaw", "HeadPitch", "HeadRoll", "LeftEyeYaw", "LeftEyePitch", "LeftEyeRoll", "RightEyeYaw",
+             "RightEyePitch", "RightEyeRoll")  # fmt: skip
+#: Radians that an eye turns at a full lookIn or lookOut, at a full lookUp or lookDown; roll per yaw and pitch (1/rad).
+EYE_YAW, EYE_PITCH, EYE_ROLL = 0.605, 0.556, 0.97
+_SIGNS = np.array([-1.0, 1.0, -1.0])
+
+
+def angles(rotations: np.ndarray) -> np.ndarray:
+    """(..., 3) yaw, pitch, roll in radians of rotations (..., 3, 3) that act on the face's axes (x left, y up, z out)."""
+    rotations = np.asarray(rotations, float)
+    flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler("YXZ")
+    return (_SIGNS * flat).reshape(*rotations.shape[:-2], 3)
+
+
+def rotations(yaw_pitch_roll: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations of angles (..., 3) in radians: the inverse of :func:`angles`."""
+    turns = np.asarray(yaw_pitch_roll, float)
+    flat = Rotation.from_euler("YXZ", (_SIGNS * turns).reshape(-1, 3)).as_matrix()
+    return flat.reshape(*turns.shape[:-1], 3, 3)
+
+
+def eye_angles(curves: np.ndarray) -> np.ndarray:
+    """(F, 6) yaw, pitch, roll of the left and of the right eye, radians, from the eyeLook curves of (F, 52)."""
+    level = dict(zip(ARKIT_NAMES, np.asarray(curves, float).T, strict=True))
+    out = []
+    for side, away in (("Left", -1.0), ("Right", 1.0)):
+        yaw = EYE_YAW * away * (level[f"eyeLookOut{side}"] - level[f"eyeLookIn{side}"])
+        pitch = EYE_PITCH * (level[f"eyeLookDown{side}"] - level[f"eyeLookUp{side}"])
+        out += [yaw, pitch, EYE_ROLL * yaw * pitch]
+    return np.stack(out, axis=-1)
