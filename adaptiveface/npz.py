@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from .errors import FileFormatError
+from .files import blocks, map_member, replacing
 
 MAX_BYTES = 8 << 30
+#: An array that may stay on the disk does so from this many bytes on; smaller ones are read, which leaves the file free.
+MAPPED_FROM = 128 << 20
 
 
 @dataclass(frozen=True)
@@ -47,11 +51,14 @@ def _check(path: Path, name: str, field: Field, shape, dtype: np.dtype, sizes: d
             raise FileFormatError(f"{path}: array '{name}' has shape {shape}, expected {field.shape} with {sizes}")
 
 
-def load_checked(path: str | os.PathLike, fields: Mapping[str, Field], max_bytes: int = MAX_BYTES) -> dict:
+def load_checked(
+    path: str | os.PathLike, fields: Mapping[str, Field], max_bytes: int = MAX_BYTES, mapped: Collection[str] = ()
+) -> dict:
     """Read the named arrays of an npz and check names, dtypes, shapes, finiteness and total size.
 
-    Members that ``fields`` does not name are ignored. Returns name -> array (missing optional ones left out).
-    Raises :class:`FileFormatError` naming the file and the array.
+    Members that ``fields`` does not name are ignored. Returns name -> array (missing optional ones left out). Large
+    uncompressed arrays that ``mapped`` names stay on the disk, take no memory and do not count in ``max_bytes``; they
+    are checked block by block. Raises :class:`FileFormatError` naming the file and the array.
     """
     path = Path(path)
     if not path.is_file():
@@ -71,22 +78,33 @@ def load_checked(path: str | os.PathLike, fields: Mapping[str, Field], max_bytes
                     shape, dtype = _header(member, name, path)
                 if dtype.hasobject:
                     raise FileFormatError(f"{path}: array '{name}' holds Python objects; pickles are refused")
+                info = archive.getinfo(f"{name}.npy")
+                if name in mapped and info.file_size >= MAPPED_FROM:
+                    _check(path, name, field, shape, dtype, sizes)
+                    array = map_member(path, info, partial(_check_values, path, name))
+                    if array is not None:
+                        out[name] = array
+                        continue
                 total += int(np.prod(shape, dtype=object)) * dtype.itemsize
                 if total > max_bytes:
                     raise FileFormatError(f"{path}: its arrays need more than {max_bytes >> 20} MiB")
                 _check(path, name, field, shape, dtype, sizes)
                 with archive.open(f"{name}.npy") as member:
                     array = np.lib.format.read_array(member, allow_pickle=False)
-                if array.dtype.kind == "f" and not np.isfinite(array).all():
-                    raise FileFormatError(f"{path}: array '{name}' holds NaN or infinite values")
-                if array.dtype.kind == "U" and not _is_text(array):
-                    raise FileFormatError(f"{path}: array '{name}' holds characters that do not exist")
+                _check_values(path, name, array)
                 out[name] = array
     except FileFormatError:
         raise
     except Exception as error:  # damaged archives and headers raise anything, from zlib.error to tokenize.TokenError
         raise FileFormatError(f"{path}: not a readable npz file ({error})") from error
     return out
+
+
+def _check_values(path: Path, name: str, array: np.ndarray) -> None:
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise FileFormatError(f"{path}: array '{name}' holds NaN or infinite values")
+    if array.dtype.kind == "U" and not _is_text(array):
+        raise FileFormatError(f"{path}: array '{name}' holds characters that do not exist")
 
 
 def _is_text(array: np.ndarray) -> bool:
@@ -99,3 +117,19 @@ def check_indices(path: str | os.PathLike, name: str, array: np.ndarray, upper: 
     """Raise :class:`FileFormatError` unless every entry lies in [0, upper)."""
     if array.size and (array.min() < 0 or array.max() >= upper):
         raise FileFormatError(f"{path}: array '{name}' points outside 0..{upper - 1}")
+
+
+def write_npz(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write an uncompressed npz whole or not at all, as :func:`numpy.savez` does, and mapped arrays block by block."""
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, value in arrays.items():
+            array = np.asanyarray(value)
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                if array.ndim == 0 or not array.size:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
+                    continue
+                descr = np.lib.format.dtype_to_descr(array.dtype)
+                header = {"descr": descr, "fortran_order": False, "shape": array.shape}
+                np.lib.format.write_array_header_1_0(member, header)
+                for _, block in blocks(array):
+                    member.write(block.tobytes())

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
@@ -24,6 +26,7 @@ from .neutral.capture import capture_actor
 from .neutral.colour import capture_colour_actor
 from .parameters import Parameters
 from .result import Result, ResultBuilder
+from .rows import discard, unfinished_folder
 from .sensors import FrameSource
 from .tracking.colour_tracker import make_tracker
 from .tracking.types import TrackedFrame
@@ -139,19 +142,20 @@ def track_source(
     keep_stages: bool = False,
     on_frame: OnFrame | None = None,
     detector: FeatureDetector | None = None,
+    folder: Path | None = None,
 ) -> Result:
     """Track every frame of ``source`` with the rig ``actor`` (paper, sections 4 to 6).
 
     ``keep_stages`` keeps v1, v2, v3 besides the final mesh; ``on_frame(tracked, frame)`` sees every frame once it is
     done; ``progress`` shows a bar on stderr. Broken frames are skipped and counted (``Result.skipped``, with
-    ``Result.reasons``). A source that says ``colour_only`` is tracked by its features alone, degraded. Raises
-    :class:`TrackingError` when no frame can be used or the face is never found, :class:`TrackingInterrupted` (with the
-    result so far) on Ctrl-C.
+    ``Result.reasons``). A source that says ``colour_only`` is tracked by its features alone, degraded. ``folder``: keep
+    the frames in files there instead of in memory, see :func:`track_to_file`. Raises :class:`TrackingError` when no
+    frame can be used or the face is never found, :class:`TrackingInterrupted` (with the result so far) on Ctrl-C.
     """
     parameters = parameters or Parameters()
     colour_only = getattr(source, "colour_only", False)
     tracker = make_tracker(actor, parameters, colour_only)
-    builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only)
+    builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only, folder)
     try:
         with (
             FrameReader(source, detector) as reader,
@@ -175,6 +179,27 @@ def track_source(
     result = builder.finish(tracker.model.correctives)
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")
+    return result
+
+
+def track_to_file(
+    source: FrameSource, actor: Actor, path: str | os.PathLike, parameters: Parameters | None = None, **options
+) -> Result:
+    """:func:`track_source`, saved as ``path`` (an ``.npz``), in bounded memory however long the source is.
+
+    While it runs the frames are in the folder ``NAME.unfinished`` beside ``path``, which
+    :meth:`~adaptiveface.result.Result.load` reads. It goes when the result is saved, or when there is nothing in it; it
+    stays when the process is killed, the disk is full, or anything else goes wrong. ``options`` of :func:`track_source`,
+    which says what is raised.
+    """
+    folder = unfinished_folder(path)
+    try:
+        track_source(source, actor, parameters, folder=folder, **options).save(path)
+    except TrackingError:
+        discard(folder)
+        raise
+    result = Result.load(path)  # from here on nothing holds the files in the folder
+    discard(folder)
     return result
 
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from .actor import Actor
 from .errors import FileFormatError
-from .npz import Field, check_indices, load_checked
+from .files import blocks
+from .npz import Field, check_indices, load_checked, write_npz
 from .parameters import Parameters
+from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows, row_type
 from .tracking.types import STAGE_NAMES, SampleState, TrackedFrame
 
 _FIELDS = {
@@ -43,6 +45,11 @@ _FIELDS = {
     "colour_only": Field((), "b", optional=True),
 }
 
+#: Meshes of every frame, which stay on the disk in long takes.
+MESHES = ("vertices", "v1", "v2", "v3")
+_HEAD_FIELDS = {name: _FIELDS[name] for name in ("triangles", "frontal", "expression_names", "feature_vertices",
+                                                 "feature_ids", "stage_names", "parameters", "colour_only")}  # fmt: skip
+_HEAD_FIELDS |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 
 #: How everything that people read calls a result that was tracked without depth.
 COLOUR_ONLY = "colour only: no depth, degraded"
@@ -118,16 +125,19 @@ class Result:
     def save(self, path: str | os.PathLike) -> None:
         """Write ``result.npz`` (uncompressed: coordinates hardly shrink), whole or not at all."""
         arrays = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        temporary = f"{os.fspath(path)}.part"
-        with open(temporary, "wb") as stream:
-            np.savez(stream, **{name: np.asarray(value) for name, value in arrays.items() if value is not None})
-        os.replace(temporary, path)
+        write_npz(path, {name: value for name, value in arrays.items() if value is not None})
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Result:
-        """Read ``result.npz``; raises :class:`FileFormatError` naming the file and the array."""
+        """Read ``result.npz``, or the ``result.unfinished`` that a run left which was killed.
+
+        Meshes of long takes stay on the disk (``vertices`` is then a read-only map of the file): walk over them with
+        :func:`adaptiveface.files.blocks`. Raises :class:`FileFormatError` naming the file and the array.
+        """
         path = Path(path)
-        data = load_checked(path, _FIELDS)
+        if path.is_dir():
+            return _of_unfinished(path)
+        data = load_checked(path, _FIELDS, mapped=MESHES)
         n_frames, n_vertices = data["vertices"].shape[:2]
         for name in ("triangles", "feature_vertices"):
             check_indices(path, name, data[name], n_vertices)
@@ -136,39 +146,52 @@ class Result:
         if not np.isin(data["sample_state"], states).all():
             raise FileFormatError(f"{path}: array 'sample_state' holds values other than {states}")
         data.setdefault("reasons", np.full(n_frames, ""))
-        for name in ("expression_names", "stage_names", "reasons"):
-            data[name] = tuple(str(text) for text in data[name])
-        data["parameters"] = str(data["parameters"])
-        data["colour_only"] = bool(data.get("colour_only", False))
         data.setdefault("skipped", np.zeros(n_frames, bool))
         for name in ("residual", "anchor_distance", "adaptive_distance"):
             data.setdefault(name, np.zeros(n_frames, np.float32))
-        return cls(**data)
+        return cls(**_as_attributes(data))
+
+
+def _of_unfinished(folder: Path) -> Result:
+    head = load_checked(folder / HEAD, _HEAD_FIELDS, max_bytes=1 << 30)
+    for name in ("triangles", "feature_vertices"):
+        check_indices(folder / HEAD, name, head[name], len(head["neutral"]))
+    rows = read_rows(folder, _row_type(head))
+    for _, block in blocks(rows):
+        for name in block.dtype.names:
+            if block[name].dtype.kind == "f" and not np.isfinite(block[name]).all():
+                raise FileFormatError(f"{folder / ROWS}: '{name}' holds NaN or infinite values")
+    return _of_rows(rows, head)
 
 
 class ResultBuilder:
     """Collects a run frame by frame; 0.09 MB per frame of 7,053 vertices, four times that with the stages.
 
     ``add`` or ``skip`` once per frame in order, then ``finish`` (at any time: frames not reached are left out). More
-    frames than ``n_frames`` make it grow, by half of what it holds.
+    frames than ``n_frames`` make it grow. ``folder``: keep the rows in files there (see :mod:`adaptiveface.rows`), in
+    bounded memory and safe from whatever ends the process; :func:`adaptiveface.rows.discard` it once the result is saved.
     """
 
     def __init__(
-        self, actor: Actor, parameters: Parameters, n_frames: int, keep_stages: bool = False, colour_only: bool = False
-    ) -> None:
-        self.actor, self.parameters, self.done, self.colour_only = actor, parameters, 0, colour_only
-        self._names = tuple(actor.expression_names)[: parameters.blendshapes.A]
-        self._stages = ("v1", "v2", "v3") if keep_stages else ()
-        self._reasons: list[str] = []
-        self._updates = 0
-        f, mesh, expressions = n_frames, (n_frames, len(actor.neutral), 3), (n_frames, len(self._names))
-        float32 = dict.fromkeys(("vertices", *self._stages), mesh)
-        float32 |= {"rigid": (f, 4, 4), "coefficients": expressions, "coefficients_initial": expressions}
-        float32 |= {"residual": (f,), "anchor_distance": (f,), "adaptive_distance": (f,)}
-        float32["stage_ms"] = (f, len(STAGE_NAMES))
-        self._rows = {name: np.zeros(shape, np.float32) for name, shape in float32.items()}
-        self._rows |= {"tracked": np.zeros(f, bool), "skipped": np.zeros(f, bool), "timestamps": np.zeros(f)}
-        self._rows |= {"corrective_updates": np.zeros(f, np.int32), "sample_state": np.zeros(f, np.int8)}
+        self, actor: Actor, parameters: Parameters, n_frames: int, keep_stages: bool = False, colour_only: bool = False,
+        folder: Path | None = None,
+    ) -> None:  # fmt: skip
+        self.actor, self._stages, self._updates = actor, ("v1", "v2", "v3") if keep_stages else (), 0
+        self._head = {
+            "triangles": actor.triangles.astype(np.int32), "frontal": actor.frontal.astype(bool),
+            "expression_names": np.array(actor.expression_names[: parameters.blendshapes.A]),
+            "feature_vertices": actor.feature_vertices.astype(np.int32),
+            "feature_ids": actor.feature_ids.astype(np.int32), "stage_names": np.array(STAGE_NAMES),
+            "parameters": np.array(parameters.to_json()), "colour_only": np.array(colour_only),
+            "neutral": actor.neutral.astype(np.float32), "stages": np.array(bool(keep_stages)),
+        }  # fmt: skip
+        self._type = _row_type(self._head)
+        self._rows = MemoryRows(self._type, n_frames) if folder is None else FileRows(self._type, folder, self._head)
+
+    @property
+    def done(self) -> int:
+        """How many frames there are."""
+        return len(self._rows)
 
     def add(self, frame: TrackedFrame) -> None:
         """Take the next frame, tracked or not."""
@@ -197,52 +220,64 @@ class ResultBuilder:
         """Take note of a broken frame, which was not tracked."""
         self._write(dict(timestamps=timestamp, skipped=True, corrective_updates=self._updates), reason)
 
-    def _write(self, row: dict[str, object], reason: str) -> None:
-        if self.done == len(self._rows["tracked"]):
-            more = self.done // 2 + 30
-            for name, array in self._rows.items():
-                self._rows[name] = np.concatenate([array, np.zeros((more, *array.shape[1:]), array.dtype)])
-        for name, value in row.items():
-            self._rows[name][self.done] = value
-        self._reasons.append(reason)
-        self.done += 1
+    def _write(self, values: dict[str, object], reason: str) -> None:
+        row = np.zeros((), self._type)
+        for name, value in values.items():
+            row[name] = value
+        row["reasons"] = reason if len(reason) <= REASON else f"{reason[: REASON - 3]}..."
+        self._rows.append(row)
 
     def finish(self, correctives: np.ndarray | None = None) -> Result:
         """The frames so far; those that are not tracked repeat the last tracked one.
 
         ``correctives`` (3n, K): the corrective shapes over the n frontal vertices, as the tracker keeps them.
         """
-        rows = {name: array[: self.done] for name, array in self._rows.items()}
-        self._fill_gaps(rows)
-        actor = self.actor
-        return Result(
-            triangles=actor.triangles.astype(np.int32),
-            frontal=actor.frontal.astype(bool),
-            expression_names=self._names,
-            feature_vertices=actor.feature_vertices.astype(np.int32),
-            feature_ids=actor.feature_ids.astype(np.int32),
-            reasons=tuple(self._reasons[: self.done]),
-            stage_names=STAGE_NAMES,
-            parameters=self.parameters.to_json(),
-            correctives=None if correctives is None else self._on_whole_mesh(correctives),
-            colour_only=self.colour_only,
-            **rows,
-        )
+        self._rows.close()
+        return _of_rows(self._rows.all(), self._head, None if correctives is None else self._on_whole_mesh(correctives))
 
     def _on_whole_mesh(self, correctives: np.ndarray) -> np.ndarray:
         shapes = np.zeros((correctives.shape[1], len(self.actor.neutral), 3), np.float32)
         shapes[:, self.actor.frontal] = correctives.T.reshape(len(shapes), int(self.actor.frontal.sum()), 3)
         return shapes
 
-    def _fill_gaps(self, rows: dict[str, np.ndarray]) -> None:
-        meshes = ("vertices", *self._stages)
-        tracked = np.flatnonzero(rows["tracked"])
-        if not len(tracked):
-            for name in meshes:
-                rows[name][:] = self.actor.neutral
-            rows["rigid"][:] = np.eye(4)
-            return
-        last = tracked[np.maximum(np.searchsorted(tracked, np.arange(self.done), side="right") - 1, 0)]
-        for index in np.flatnonzero(~rows["tracked"]):
-            for name in (*meshes, "rigid", "coefficients", "coefficients_initial"):
-                rows[name][index] = rows[name][last[index]]
+
+def _row_type(head: dict[str, np.ndarray]) -> np.dtype:
+    meshes = MESHES if head["stages"] else MESHES[:1]
+    return row_type(len(head["neutral"]), len(head["expression_names"]), len(head["stage_names"]), meshes)
+
+
+def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], correctives: np.ndarray | None = None) -> Result:
+    """The result of rows (F,), in which frames that are not tracked are filled in."""
+    names = [name for name in rows.dtype.names if name not in MESHES]
+    small = {name: np.empty((len(rows), *rows.dtype[name].shape), rows.dtype[name].base) for name in names}
+    for part, block in blocks(rows):
+        for name in names:
+            small[name][part] = block[name]
+    meshes = {name: rows[name] for name in MESHES if name in rows.dtype.names}
+    _fill_gaps(small, meshes, head["neutral"])
+    shared = {name: value for name, value in head.items() if name not in ("neutral", "stages")}
+    return Result(**_as_attributes(shared | small | meshes), correctives=correctives)
+
+
+def _fill_gaps(small: dict[str, np.ndarray], meshes: dict[str, np.ndarray], neutral: np.ndarray) -> None:
+    tracked, count = np.flatnonzero(small["tracked"]), len(small["tracked"])
+    if not len(tracked):
+        for mesh in meshes.values():
+            mesh[:] = neutral
+        small["rigid"][:] = np.eye(4)
+        return
+    last = tracked[np.maximum(np.searchsorted(tracked, np.arange(count), side="right") - 1, 0)]
+    for name in ("rigid", "coefficients", "coefficients_initial"):
+        small[name][:] = small[name][last]
+    for index in np.flatnonzero(~small["tracked"]):
+        for mesh in meshes.values():
+            mesh[index] = mesh[last[index]]
+
+
+def _as_attributes(data: dict) -> dict:
+    """Arrays of text as the attributes of a :class:`Result`."""
+    for name in ("expression_names", "stage_names", "reasons"):
+        data[name] = tuple(str(text) for text in data[name])
+    data["parameters"] = str(data["parameters"])
+    data["colour_only"] = bool(data.get("colour_only", False))
+    return data

@@ -21,7 +21,7 @@ FLOORS = (
     ("synthetic", "sensors", "landmarks"),
     ("tracking",),
     ("neutral", "importers", "exercises"),
-    ("result",),
+    ("rows", "result"),
     ("pipeline",),
     ("retargeting",),
     ("evaluation", "export", "live"),

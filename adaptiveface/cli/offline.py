@@ -33,7 +33,7 @@ def run_demo(args: argparse.Namespace) -> int:
         load_character(args.character)  # a wrong name ends here, not after the tracking
     from ..evaluation import ErrorCollector
     from ..evaluation.coefficients import measure_coefficients
-    from ..pipeline import capture_from, track_source
+    from ..pipeline import capture_from, track_to_file
     from ..synthetic.sensor import SyntheticSensor
 
     sensor = SyntheticSensor(args.seed, args.noise, frames=args.frames)
@@ -41,8 +41,8 @@ def run_demo(args: argparse.Namespace) -> int:
     actor = capture_from(sensor, chosen, sensor.neutral_frames, progress=True)
     actor.save(args.out / "actor.npz")
     collector = ErrorCollector(sensor, actor)
-    result = track_source(sensor, actor, chosen, progress=True, on_frame=lambda tracked, _: collector.add(tracked))
-    result.save(args.out / "result.npz")
+    result = track_to_file(sensor, actor, args.out / "result.npz", chosen, progress=True,
+                           on_frame=lambda tracked, _: collector.add(tracked))  # fmt: skip
     evaluation = collector.finish()
     print(result.summary())
     print(evaluation.table())
@@ -100,7 +100,8 @@ def run_track(args: argparse.Namespace) -> int:
     chosen = parameters(args.set)
     check_output(args.out)
     from ..actor import Actor
-    from ..pipeline import TrackingInterrupted, capture_from, track_source
+    from ..pipeline import TrackingInterrupted, capture_from, track_to_file
+    from ..rows import discard, unfinished_folder
     from ..sensors import open_source
 
     actor = Actor.load(args.actor) if args.actor else None
@@ -108,12 +109,12 @@ def run_track(args: argparse.Namespace) -> int:
     if actor is None:
         actor = capture_from(source, chosen, args.neutral_frames, progress=True)
     try:
-        result = track_source(source, actor, chosen, progress=True, keep_stages=args.keep_stages)
+        result = track_to_file(source, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
     except TrackingInterrupted as interruption:
         interruption.result.save(args.out)
+        discard(unfinished_folder(args.out))
         print(f"{args.out}: {len(interruption.result)} frames until the interruption")
         raise
-    result.save(args.out)
     print(result.summary())
     if args.report:
         _report(result, source, actor, args.report, still_frames=0 if args.actor else args.neutral_frames)

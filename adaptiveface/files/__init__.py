@@ -2,5 +2,6 @@
 
 from .atomic import replacing
 from .bounded import read_bytes, read_text
+from .mapped import blocks, map_member, release
 
-__all__ = ["read_bytes", "read_text", "replacing"]
+__all__ = ["blocks", "map_member", "read_bytes", "read_text", "release", "replacing"]

@@ -1,0 +1,89 @@
+"""Arrays that stay on the disk: mapped from a file, read block by block, their memory given back behind the reader."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from ..errors import FileFormatError
+
+#: A mapped array is walked in blocks of about this many bytes.
+BLOCK_BYTES = 16 << 20
+_LOCAL_HEADER = struct.Struct("<4s22xHH")
+
+
+def map_member(
+    path: str | os.PathLike, info: zipfile.ZipInfo, look: Callable[[np.ndarray], None] = lambda block: None
+) -> np.ndarray | None:
+    """The array of an uncompressed ``.npy`` member of a zip file, read-only and mapped into memory.
+
+    None where the member cannot be mapped (compressed, encrypted, in Fortran order, empty, or of Python objects).
+    ``look`` sees every block of it once, while its checksum is compared. Raises :class:`FileFormatError` when header,
+    size or checksum are wrong.
+    """
+    if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
+        return None
+    with open(path, "rb") as stream:
+        stream.seek(info.header_offset)
+        start = stream.read(_LOCAL_HEADER.size)
+        if len(start) < _LOCAL_HEADER.size or start[:4] != b"PK\x03\x04":
+            raise FileFormatError(f"{path}: '{info.filename}' is not where the file says")
+        stream.seek(sum(_LOCAL_HEADER.unpack(start)[1:]), os.SEEK_CUR)
+        member = stream.tell()
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(stream)
+        data = stream.tell()
+        if fortran or dtype.hasobject or 0 in shape or not shape:
+            return None
+        size = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if data - member + size != info.file_size or data + size > os.fstat(stream.fileno()).st_size:
+            raise FileFormatError(f"{path}: '{info.filename}' promises {size} bytes and holds another number")
+        stream.seek(member)
+        header = stream.read(data - member)
+    array = np.memmap(path, dtype, "r", data, shape)
+    checksum = zlib.crc32(header)
+    for _, block in blocks(array):
+        look(block)
+        checksum = zlib.crc32(block, checksum)
+    if checksum != info.CRC:
+        raise FileFormatError(f"{path}: the checksum of '{info.filename}' is wrong: the file is damaged")
+    return array
+
+
+def blocks(array: np.ndarray, rows: int | None = None) -> Iterator[tuple[slice, np.ndarray]]:
+    """Walk over an array: where a block lies on the first axis, and a copy of it; the last one may be shorter.
+
+    ``rows``: entries of a block, by default about :data:`BLOCK_BYTES`. What was read of a mapped array no longer counts
+    as the process's memory when the next block comes.
+    """
+    each = max(int(np.prod(array.shape[1:], dtype=object)) * array.dtype.itemsize, 1)
+    rows = rows or max(BLOCK_BYTES // each, 1)
+    for first in range(0, len(array), rows):
+        part = slice(first, min(first + rows, len(array)))
+        yield part, np.ascontiguousarray(array[part]) if _mapping(array) is None else np.array(array[part])
+        release(array)
+
+
+def release(array: np.ndarray) -> None:
+    """Give back the memory of a mapped array's pages; they are read again when they are needed."""
+    mapping = _mapping(array)
+    if mapping is not None and hasattr(mapping, "madvise"):
+        mapping.madvise(mmap.MADV_DONTNEED)
+
+
+def _mapping(array: np.ndarray | None) -> mmap.mmap | None:
+    while array is not None:
+        if isinstance(array, np.memmap):
+            return array._mmap if array.mode != "c" else None  # what was changed in a copy would be lost
+        array = getattr(array, "base", None)
+        if isinstance(array, mmap.mmap):
+            return array
+        array = array if isinstance(array, np.ndarray) else None
+    return None

@@ -1,0 +1,120 @@
+"""One row per tracked frame, in memory or in a file that grows with them and survives whatever ends the process.
+
+The file lies in a folder beside the result that will be: ``result.unfinished`` for ``result.npz``. It holds ``head.npz``
+(what all frames share) and ``rows.bin`` (the frames, each written whole when it is done).
+:meth:`adaptiveface.result.Result.load` reads the folder, so that a run that was killed is not lost.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from .errors import AdaptiveFaceError, FileFormatError
+from .npz import write_npz
+
+HEAD, ROWS = "head.npz", "rows.bin"
+#: Characters kept of the reason why a frame is not tracked.
+REASON = 200
+
+
+def row_type(vertices: int, expressions: int, stages: int, meshes: tuple[str, ...]) -> np.dtype:
+    """The dtype of one row; ``meshes``: names of its meshes (vertices, 3)."""
+    float32 = dict.fromkeys(meshes, (vertices, 3)) | {"rigid": (4, 4), "coefficients": (expressions,)}
+    float32 |= {"coefficients_initial": (expressions,), "stage_ms": (stages,)}
+    float32 |= {"residual": (), "anchor_distance": (), "adaptive_distance": ()}
+    fields = [("timestamps", np.float64, ()), *((name, np.float32, shape) for name, shape in float32.items())]
+    fields += [("corrective_updates", np.int32, ()), ("reasons", f"<U{REASON}", ())]
+    fields += [("sample_state", np.int8, ()), ("tracked", np.bool_, ()), ("skipped", np.bool_, ())]
+    return np.dtype(fields, align=True)
+
+
+def unfinished_folder(result: str | os.PathLike) -> Path:
+    """The folder in which a run keeps its rows until ``result`` (an ``.npz``) is written."""
+    return Path(result).with_suffix(".unfinished")
+
+
+def discard(folder: Path) -> None:
+    """Remove a folder of rows once its result is safe; nothing happens where there is none."""
+    for name in (HEAD, ROWS):
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):  # not there, or somebody keeps something in it
+        folder.rmdir()
+
+
+class MemoryRows:
+    """Rows in memory; they grow by half of what there is."""
+
+    def __init__(self, dtype: np.dtype, expected: int) -> None:
+        self._rows = np.zeros(max(expected, 1), dtype)
+        self._done = 0
+
+    def __len__(self) -> int:
+        return self._done
+
+    def append(self, row: np.ndarray) -> None:
+        """Keep a row () of the dtype."""
+        if self._done == len(self._rows):
+            self._rows.resize(self._done + self._done // 2 + 30, refcheck=False)
+        self._rows[self._done] = row
+        self._done += 1
+
+    def all(self) -> np.ndarray:
+        """(F,) the rows so far; changes to it are kept."""
+        return self._rows[: self._done]
+
+    def close(self) -> None:
+        """No more rows will come."""
+
+
+class FileRows:
+    """Rows in ``folder``, which is made; rows of an earlier run there are replaced. ``head``: what all frames share."""
+
+    def __init__(self, dtype: np.dtype, folder: Path, head: dict[str, np.ndarray]) -> None:
+        self._dtype, self._path, self._done = dtype, folder / ROWS, 0
+        discard(folder)
+        folder.mkdir(exist_ok=True)
+        write_npz(folder / HEAD, head)
+        self._stream = open(self._path, "xb", buffering=0)
+
+    def __len__(self) -> int:
+        return self._done
+
+    def append(self, row: np.ndarray) -> None:
+        """Write a row () of the dtype. Raises :class:`AdaptiveFaceError` when the disk is full."""
+        try:
+            data = memoryview(row.tobytes())
+            while len(data):  # one write takes what fits
+                data = data[self._stream.write(data) :]
+        except OSError as error:
+            reason = "no space left on the disk" if error.errno == errno.ENOSPC else error.strerror
+            raise AdaptiveFaceError(f"{self._path}: {reason}; the {self._done} frames before are kept there") from error
+        self._done += 1
+
+    def all(self) -> np.ndarray:
+        """(F,) the rows so far, mapped; changes to it are kept."""
+        return _mapped(self._path, self._dtype, self._done)
+
+    def close(self) -> None:
+        """No more rows will come."""
+        self._stream.close()
+
+
+def read_rows(folder: Path, dtype: np.dtype) -> np.ndarray:
+    """(F,) the rows that a run left in ``folder``, without one that was cut off. Raises :class:`FileFormatError`."""
+    path = folder / ROWS
+    try:
+        count = path.stat().st_size // dtype.itemsize
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from None
+    if not count:
+        raise FileFormatError(f"{folder}: no frame was finished")
+    return _mapped(path, dtype, count, "c")
+
+
+def _mapped(path: Path, dtype: np.dtype, count: int, mode: str = "r+") -> np.ndarray:
+    return np.memmap(path, dtype, mode, 0, (count,)) if count else np.zeros(0, dtype)
