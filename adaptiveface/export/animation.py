@@ -67,13 +67,14 @@ def character_animation(character: Character, performance: Performance) -> Anima
     )  # fmt: skip
 
 
-def actor_animation(result: Result, actor: Actor | None = None, tolerance: float = 0.09) -> AnimatedMesh:
+def actor_animation(result: Result, actor: Actor | None = None, tolerance: float = 0.045) -> AnimatedMesh:
     """The actor's own mesh, so that every frame's v4 is reproduced within ``tolerance`` mm at every vertex.
 
     With the actor's rig the targets are its blendshapes (weights: the re-solved coefficients), the learned correctives,
     and what these cannot hold: principal components of the residual, as many as the tolerance asks for (v4 contains the
     final deformation, which follows the 2D features and lies in no basis). Without the rig: the mean of all frames and
-    principal components alone. Raises :class:`FileFormatError` when actor and result do not belong together.
+    principal components alone. All weights are in [0, 1] (:func:`in_slider_range`). Raises :class:`FileFormatError`
+    when actor and result do not belong together.
     """
     shapes = head_frames(result)
     names, targets, weights = [], np.zeros((0, shapes.shape[1], 3)), np.zeros((len(shapes), 0))
@@ -89,16 +90,35 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
     shape, amount = _principal_targets(residual, tolerance)
     names += [f"residual{k:03d}" for k in range(len(shape))]
     targets, weights = np.concatenate([targets, shape]), np.column_stack([weights, amount])
-    return AnimatedMesh("actor", neutral, result.triangles, tuple(names), targets, weights,
+    mesh = AnimatedMesh("actor", neutral, result.triangles, tuple(names), targets, weights,
                         increasing(result.timestamps), view_motion(result.rigid))  # fmt: skip
+    return in_slider_range(mesh)
 
 
 def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray, tolerance: float = 0.2) -> AnimatedMesh:
     """The mesh with displacements (F, V, 3) mm added as further morph targets, within ``tolerance`` mm."""
     shape, amount = _principal_targets(displacements, tolerance)
     names = tuple(f"corrective{k:02d}" for k in range(len(shape)))
-    return replace(mesh, target_names=mesh.target_names + names, targets=np.concatenate([mesh.targets, shape]),
+    rich = replace(mesh, target_names=mesh.target_names + names, targets=np.concatenate([mesh.targets, shape]),
                    weights=np.column_stack([mesh.weights, amount]))  # fmt: skip
+    return in_slider_range(rich)
+
+
+def in_slider_range(mesh: AnimatedMesh) -> AnimatedMesh:
+    """The same motion with weights in [0, 1], where the sliders of Blender and USD end.
+
+    A target whose weights run from a < 0 to b is scaled by b - a and its weights are moved by a; what that adds to every
+    frame is taken back by one further target, "offset", at the weight 1. The neutral stays what it is, and linear
+    interpolation between keys, too.
+    """
+    low = np.minimum(mesh.weights.min(axis=0, initial=0.0), 0.0)
+    span = np.maximum(mesh.weights.max(axis=0, initial=0.0) - low, 1.0)
+    if not low.any() and (span == 1.0).all():
+        return mesh
+    offset = np.tensordot(low, mesh.targets, axes=1)
+    return replace(mesh, target_names=(*mesh.target_names, "offset"),
+                   targets=np.concatenate([mesh.targets * span[:, None, None], offset[None]]),
+                   weights=np.column_stack([(mesh.weights - low) / span, np.ones(len(mesh))]))  # fmt: skip
 
 
 def _rig(result: Result, actor: Actor):
@@ -107,7 +127,8 @@ def _rig(result: Result, actor: Actor):
     rows = [actor.expression_names.index(n) for n in result.expression_names if n in actor.expression_names]
     if len(rows) != len(result.expression_names):
         raise FileFormatError("result.npz has expressions that actor.npz lacks: they do not belong together")
-    return list(result.expression_names), actor.neutral, actor.blendshapes[rows], result.coefficients.astype(float)
+    coefficients = np.clip(result.coefficients.astype(float), 0.0, 1.0)  # what lies outside is left to the residual
+    return list(result.expression_names), actor.neutral, actor.blendshapes[rows], coefficients
 
 
 def _projected(residual: np.ndarray, correctives: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
