@@ -25,7 +25,9 @@ FLOORS = (
     ("pipeline",),
     ("retargeting",),
     ("evaluation", "export", "live"),
-    ("views", "bench", "report"),
+    ("bench", "report"),
+    ("batch",),
+    ("views",),
     ("cli",),
     ("__main__",),
 )

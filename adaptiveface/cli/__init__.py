@@ -11,13 +11,14 @@ import sys
 
 from .. import __version__
 from ..errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError
-from . import offline, sensors, tools
+from . import offline, sensors, studies, tools
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 #: In the order of the help; each adds itself.
 COMMANDS = (
     offline.add_demo, offline.add_capture, offline.add_track, sensors.add_record, sensors.add_convert,
-    offline.add_export, sensors.add_stream, sensors.add_live, tools.add_bench, tools.add_lab,
+    offline.add_export, sensors.add_stream, sensors.add_live, studies.add_batch, tools.add_bench,
+    tools.add_lab,
 )  # fmt: skip
 
 

@@ -122,13 +122,10 @@ def run_track(args: argparse.Namespace) -> int:
 
 
 def _report(result, source, actor, folder: Path, **options) -> None:
+    from ..evaluation import truth_of
     from ..report import write_report
 
-    truth = source if hasattr(source, "ground_truth") else None
-    recorded = getattr(source, "path", Path("/nowhere")) / "ground_truth.npz"
-    if truth is None and recorded.is_file():
-        truth = recorded
-    path = write_report(result, source, actor, folder, truth, correctives=result.correctives, **options)
+    path = write_report(result, source, actor, folder, truth_of(source), correctives=result.correctives, **options)
     print(f"report: {path}")
 
 

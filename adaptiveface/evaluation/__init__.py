@@ -17,11 +17,11 @@ from .metrics import (
 )
 from .regions import REGIONS, actor_regions, region_masks
 from .run import STAGES, ErrorCollector, Evaluation, evaluate_run
-from .truth import FIRST, NEUTRAL, PERFORMANCE_NAMES, REPEAT, GroundTruth, TruthFrame
+from .truth import FIRST, NEUTRAL, PERFORMANCE_NAMES, REPEAT, GroundTruth, TruthFrame, truth_of
 
 __all__ = [
     "ACTIVE_MOTION", "FIRST", "NEUTRAL", "PERFORMANCE_NAMES", "REGIONS", "REPEAT", "STAGES", "ErrorCollector",
     "Evaluation", "GroundTruth", "TrueSurface", "TruthFrame", "active_share", "actor_regions", "evaluate_run",
     "motion_error", "neutral_alignment", "pose_error", "region_masks", "split_by_normal",
-    "surface_distance", "tracked_alignment", "true_motion",
+    "surface_distance", "tracked_alignment", "true_motion", "truth_of",
 ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -89,3 +90,12 @@ def _mean_neutral(read: Callable[[int], TruthFrame], n_frames: int, path="the so
     if not heads:
         raise FileFormatError(f"{path}: the truth begins with no neutral frame (performance -1) and has no 'neutral'")
     return np.mean(heads, axis=0)
+
+
+def truth_of(source):
+    """Where the truth of a source is: the source itself, the ``ground_truth.npz`` in its folder, or None."""
+    if hasattr(source, "ground_truth"):
+        return source
+    path = getattr(source, "path", None)
+    recorded = None if path is None else Path(path) / "ground_truth.npz"
+    return recorded if recorded is not None and recorded.is_file() else None

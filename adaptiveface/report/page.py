@@ -68,17 +68,35 @@ def figure(content: str, caption: str = "") -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], strong: Sequence[int] = (), kind: str = "") -> str:
-    """An HTML table of plain text cells; the rows numbered in ``strong`` are set bold. Cells may be ``Changed``."""
+    """An HTML table of plain text cells; the rows numbered in ``strong`` are set bold. Cells may be ``Changed`` or ``Link``."""
     head = "".join(f"<th>{escape(name)}</th>" for name in header)
     body = []
     for number, row in enumerate(rows):
-        cells = "".join(f"<td{' class=changed' if isinstance(c, Changed) else ''}>{escape(str(c))}</td>" for c in row)
+        cells = "".join(_cell(cell) for cell in row)
         body.append(f"<tr{' class=strong' if number in strong else ''}>{cells}</tr>")
     return f'<div class="scroll"><table class="{kind}"><tr>{head}</tr>{"".join(body)}</table></div>'
 
 
+def _cell(cell: str) -> str:
+    text = escape(str(cell))
+    if isinstance(cell, Link):
+        text = f'<a href="{escape(cell.address, quote=True)}">{text}</a>'
+    return f"<td{' class=changed' if isinstance(cell, Changed) else ''}>{text}</td>"
+
+
 class Changed(str):
     """A table cell whose value differs from the default."""
+
+
+class Link(str):
+    """A table cell that leads to ``address``."""
+
+    address: str
+
+    def __new__(cls, text: str, address: str) -> Link:
+        cell = super().__new__(cls, text)
+        cell.address = address
+        return cell
 
 
 def inline_svg(text: str, prefix: str) -> str:

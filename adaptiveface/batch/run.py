@@ -1,0 +1,83 @@
+"""The batch itself: what is done already is left alone, the rest is spread over workers, tables are kept up to date."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from tqdm import tqdm
+
+from ..errors import AdaptiveFaceError
+from .index import write_index
+from .jobs import Job
+from .tables import write_tables
+from .work import finished, run_job
+from .workers import completed
+
+
+class Batch:
+    """Jobs and the folder in which they end.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+        See :func:`adaptiveface.batch.expand`.
+    folder : path-like
+        Output. Each job has a folder of its own in it. Beside them lie ``recordings.csv`` (a row per job),
+        ``frames.csv`` (a row per frame), both as ``.parquet`` too where pyarrow is installed, and ``index.html``.
+    """
+
+    def __init__(self, jobs: Sequence[Job], folder: str | os.PathLike) -> None:
+        self.jobs, self.folder = list(jobs), Path(folder)
+        if self.folder.exists() and not self.folder.is_dir():
+            raise AdaptiveFaceError(f"{self.folder}: is a file, the name of a folder is expected")
+
+    def run(self, client=None, processes: int | None = None, progress: bool = False) -> list[dict]:
+        """Do what is not done yet; returns one record per job, in the jobs' order.
+
+        Parameters
+        ----------
+        client : dask.distributed.Client, optional
+            A cluster whose workers see the recordings and ``folder`` under the same paths.
+        processes : int, optional
+            Without a client: processes at a time, by default one per processor.
+        progress : bool
+            Whether a bar is shown on stderr.
+
+        Notes
+        -----
+        A job that was finished with the same options and the same version is not done again. One that failed is. No job
+        ends the batch; its record says ``status`` "failed" and ``reason``.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        records = {job.name: record for job in self.jobs if (record := finished(self.folder, job))}
+        left = [job for job in self.jobs if job.name not in records]
+        processes = processes or min(os.cpu_count() or 1, max(len(left), 1))
+        work = partial(run_job, str(self.folder.resolve()))
+        bar = tqdm(total=len(self.jobs), initial=len(records), desc="batch", unit="recording",
+                   disable=None if progress else True)  # fmt: skip
+        try:
+            with bar:
+                for job, answer in completed(work, left, client, processes):
+                    records[job.name] = answer if isinstance(answer, dict) else _failed(job, answer)
+                    bar.set_postfix(failed=sum(r["status"] == "failed" for r in records.values()), refresh=False)
+                    bar.update()
+        finally:
+            self._gather(records)
+        return [records[job.name] for job in self.jobs]
+
+    def _gather(self, records: dict[str, dict]) -> None:
+        rows = [records[job.name] for job in self.jobs if job.name in records]
+        if rows:
+            write_tables(self.folder, rows)
+            write_index(self.folder, rows, len(self.jobs))
+
+
+def _failed(job: Job, error: BaseException) -> dict:
+    reason = str(error) if isinstance(error, AdaptiveFaceError) else f"{type(error).__name__}: {error}"
+    return {
+        "recording": job.name.split("/")[0], "source": job.source, **dict(job.settings),
+        "status": "failed", "reason": " ".join(reason.split()),
+    }  # fmt: skip

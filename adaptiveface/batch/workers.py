@@ -1,0 +1,154 @@
+"""Calls spread over processes of this machine or over a Dask cluster; a worker that is lost costs its own call only."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from typing import Any, TypeVar
+
+from ..errors import AdaptiveFaceError, MissingExtraError
+
+Item = TypeVar("Item")
+
+
+class WorkerLost(AdaptiveFaceError):
+    """The process that worked on an item ended without an answer: it was killed, or it crashed."""
+
+
+def completed(
+    function: Callable[..., Any], items: Sequence[Item], client=None, processes: int = 1, shared: Sequence = ()
+) -> Iterator[tuple[Item, Any]]:
+    """Yield ``(item, function(*shared, item))`` in the order in which the calls end.
+
+    Parameters
+    ----------
+    function : callable
+        A function of a module, so that other processes can import it.
+    items : sequence
+        What the calls differ in.
+    client : dask.distributed.Client, optional
+        The cluster that does the calls. Workers that are lost are replaced by others there.
+    processes : int
+        Without a client: how many processes work at a time, each new for its item. 0 calls in this process.
+    shared : sequence
+        What all calls have in common; it is sent to each worker of a cluster once.
+
+    Yields
+    ------
+    item, answer
+        ``answer`` is what the call returned, or the exception that it raised (:class:`WorkerLost` where its process
+        ended without an answer).
+    """
+    if client is not None:
+        yield from _on_cluster(function, items, client, shared)
+    elif processes:
+        yield from _in_processes(function, items, processes, shared)
+    else:
+        for item in items:
+            yield item, _attempt(function, *shared, item)
+
+
+def _attempt(function, *arguments):
+    try:
+        return function(*arguments)
+    except Exception as error:  # noqa: BLE001 - an answer like another: the caller decides
+        return error
+
+
+def _on_cluster(function, items, client, shared) -> Iterator[tuple[Any, Any]]:
+    from distributed import as_completed
+
+    common = [client.scatter(value, broadcast=True) for value in shared]
+    futures = {client.submit(function, *common, item, pure=False): item for item in items}
+    try:
+        for future in as_completed(futures):
+            error = future.exception()
+            if error is None:
+                yield futures[future], future.result()
+            elif type(error).__name__ == "KilledWorker":
+                yield futures[future], WorkerLost("each worker of the cluster that took it was lost")
+            else:
+                yield futures[future], error
+    finally:
+        client.cancel([future for future in futures if not future.done()])
+
+
+def _in_processes(function, items: Iterable, processes: int, shared) -> Iterator[tuple[Any, Any]]:
+    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
+    waiting, running = list(items)[::-1], {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < processes:
+                item = waiting.pop()
+                answer, theirs = context.Pipe(duplex=False)
+                worker = context.Process(target=_worker, args=(function, (*shared, item), theirs))
+                worker.start()
+                theirs.close()
+                running[answer] = (item, worker)
+            for answer in wait(list(running)):
+                item, worker = running.pop(answer)
+                yield item, _received(answer, worker)
+    finally:
+        for _, worker in running.values():
+            worker.terminate()
+        for _, worker in running.values():
+            worker.join()
+
+
+def _received(answer: Connection, worker) -> Any:
+    with answer:
+        try:
+            return answer.recv()
+        except EOFError:
+            pass
+    worker.join()
+    code = worker.exitcode
+    how = f"by signal {-code}" if code and code < 0 else f"with status {code}"
+    return WorkerLost(f"its process was ended {how} (out of memory, or killed)")
+
+
+def _worker(function, arguments, answer: Connection) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    answer.send(_attempt(function, *arguments))
+    answer.close()
+
+
+def _end_with_parent() -> None:
+    """Ends the process when the one that started it is gone: a batch that was killed leaves no workers behind."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def dask_client(address: str | None = None, workers: int = 2):
+    """A ``dask.distributed.Client``; end it with ``client.close()``.
+
+    Parameters
+    ----------
+    address : str, optional
+        That of a scheduler elsewhere, ``tcp://host:8786``. None starts ``workers`` processes of its own on this machine,
+        which listen on loopback only.
+
+    Raises
+    ------
+    MissingExtraError
+        Dask is not installed.
+    AdaptiveFaceError
+        No scheduler answers at ``address``.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtraError('Dask is not installed: python -m pip install "adaptiveface[cluster]"') from None
+    if address is not None:
+        try:
+            return Client(address, timeout=10)
+        except (OSError, ValueError) as error:
+            raise AdaptiveFaceError(f"no Dask scheduler answers at {address}: {error}") from None
+    # Workers that are slow to end are ended; a warning about it would stand below the results.
+    return Client(n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR)

@@ -1,0 +1,53 @@
+"""Commands for studies over recordings: ``batch`` and ``evaluate``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..export.arguments import FORMATS
+from .arguments import add_settings, parameters, whole
+
+
+def add_batch(commands) -> None:
+    """``batch``."""
+    batch = commands.add_parser("batch", help="capture, track and score many recordings; go on where it was stopped")
+    batch.add_argument("sources", metavar="FOLDER_OR_LIST", help="a folder of recordings, or a text file that lists them")
+    batch.add_argument("--out", type=Path, required=True, metavar="DIR", help="results, tables and index.html")
+    batch.add_argument("--sweep", nargs="+", action="extend", default=[], metavar="stage.name=v,v,...",
+                       help="track with each value, e.g. laplacian.w2=0.5,1.5,5; several make every combination")  # fmt: skip
+    batch.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from each recording")
+    batch.add_argument("--neutral-frames", type=whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
+    batch.add_argument("--export", nargs="+", choices=list(FORMATS), default=[], metavar="FORMAT",
+                       help=f"also write {', '.join(FORMATS)}")  # fmt: skip
+    batch.add_argument("--no-report", action="store_true", help="leave out report.html of each recording")
+    batch.add_argument("--processes", type=whole(1, 1024), metavar="N", help="default: one per processor")
+    batch.add_argument("--cluster", metavar="tcp://HOST:PORT", help="a Dask scheduler, instead of processes here")
+    add_settings(batch)
+    batch.set_defaults(run=run_batch)
+
+
+def run_batch(args: argparse.Namespace) -> int:
+    """``batch FOLDER_OR_LIST --out DIR``: exit status 1 when a recording failed."""
+    from ..actor import Actor
+    from ..batch import Batch, dask_client, expand, find_sources, parse_sweep
+
+    actor = None
+    if args.actor:
+        Actor.load(args.actor)  # a damaged rig ends here, and not in every recording
+        actor = str(args.actor.resolve())
+    jobs = expand(
+        find_sources(args.sources), parameters(args.set), parse_sweep(args.sweep), actor=actor,
+        neutral_frames=args.neutral_frames, formats=tuple(args.export), report=not args.no_report,
+    )  # fmt: skip
+    client = dask_client(args.cluster) if args.cluster else None
+    try:
+        records = Batch(jobs, args.out).run(client, args.processes, progress=True)
+    finally:
+        if client is not None:
+            client.close()
+    failed = [record for record in records if record["status"] != "done"]
+    for record in failed:
+        print(f"failed: {record['source']}: {record['reason']}")
+    print(f"{args.out / 'index.html'}: {len(records) - len(failed)} of {len(records)} done, {len(failed)} failed")
+    return 1 if failed else 0
