@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import logging
 from collections.abc import Callable, Iterable, Sequence
 
 import ipywidgets as widgets
 import numpy as np
 
-from ..errors import AdaptiveFaceError, MissingExtraError
+from ..batch import completed, dask_client
 from ..evaluation.ablation import VARIANTS, Variant
 from ..parameters import Parameters
 from .charts import GridChart
@@ -117,34 +116,17 @@ def sweep(
 
 
 def _computed(session, cells, settings, measure, client):
-    """Yield (cell, value) as they are done."""
-    if client is None:
-        for cell, parameters in zip(cells, settings, strict=True):
-            yield cell, measure(session, parameters)
-        return
-    from distributed import as_completed
-
-    shared = client.scatter(session, broadcast=True)
-    futures = {client.submit(measure, shared, p): cell for cell, p in zip(cells, settings, strict=True)}
-    for future in as_completed(futures):
-        yield futures[future], future.result()
+    """Yield (cell, value) as they are done; the first error ends the sweep."""
+    items = list(zip(cells, settings, strict=True))
+    for (cell, _), value in completed(_measured, items, client, processes=0, shared=(measure, session)):
+        if isinstance(value, Exception):
+            raise value
+        yield cell, value
 
 
-def cluster(address: str | None = None, workers: int = 2):
-    """A ``dask.distributed.Client`` for :func:`sweep`; end it with ``client.close()``.
+def _measured(measure, session, item):
+    return measure(session, item[1])
 
-    ``address``: that of a scheduler elsewhere ("tcp://host:8786"), None: ``workers`` processes of its own on this
-    machine. Raises :class:`MissingExtraError` where Dask is not installed, :class:`AdaptiveFaceError` where no
-    scheduler answers.
-    """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise MissingExtraError('Dask is not installed: python -m pip install "adaptiveface[cluster]"') from None
-    if address is not None:
-        try:
-            return Client(address, timeout=10)
-        except (OSError, ValueError) as error:
-            raise AdaptiveFaceError(f"no Dask scheduler answers at {address}: {error}") from None
-    # Workers that are slow to end are ended; a warning about it would stand below the results.
-    return Client(n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR)
+
+#: A Dask client for :func:`sweep`, as for ``adaptiveface batch``.
+cluster = dask_client
