@@ -14,6 +14,7 @@ FLOORS = (
     (
         *("errors", "files", "npz", "blas", "interrupt"),
         *("stages", "parameters"),
+        "timing",
         *("camera", "frame", "mesh", "rendering", "appearance"),
         *("lab", "livelink"),
     ),

@@ -15,6 +15,16 @@ def add_source(command: argparse.ArgumentParser) -> None:
     command.add_argument("source", metavar="SOURCE", help=text)
 
 
+def opened(text: str):
+    """The source named by ``text``; what it converted or repaired is printed, one line each."""
+    from ..sensors import open_source
+
+    source = open_source(text)
+    for note in getattr(source, "notes", ()):
+        print(note)
+    return source
+
+
 def add_settings(command: argparse.ArgumentParser) -> None:
     """``--set stage.name=value``, which :func:`parameters` reads."""
     command.add_argument(

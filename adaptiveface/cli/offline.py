@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..export.arguments import add_export_arguments
 from ..retargeting import BUILT_IN
-from .arguments import add_settings, add_source, check_output, parameters, whole
+from .arguments import add_settings, add_source, check_output, opened, parameters, whole
 
 
 def add_demo(commands) -> None:
@@ -73,9 +73,8 @@ def run_capture(args: argparse.Namespace) -> int:
     chosen = parameters(args.set)
     check_output(args.out)
     from ..pipeline import capture_from
-    from ..sensors import open_source
 
-    actor = capture_from(open_source(args.source), chosen, args.neutral_frames, progress=True)
+    actor = capture_from(opened(args.source), chosen, args.neutral_frames, progress=True)
     actor.save(args.out)
     print(f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, "
           f"{len(actor.scan_points)} scan points")  # fmt: skip
@@ -102,10 +101,9 @@ def run_track(args: argparse.Namespace) -> int:
     from ..actor import Actor
     from ..pipeline import TrackingInterrupted, capture_from, track_to_file
     from ..rows import discard, unfinished_folder
-    from ..sensors import open_source
 
     actor = Actor.load(args.actor) if args.actor else None
-    source = open_source(args.source)
+    source = opened(args.source)
     if actor is None:
         actor = capture_from(source, chosen, args.neutral_frames, progress=True)
     try:

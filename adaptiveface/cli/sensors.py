@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..export.arguments import add_stream_arguments
-from .arguments import add_settings, add_source, parameters, whole
+from .arguments import add_settings, add_source, opened, parameters, whole
 
 
 def add_record(commands) -> None:
@@ -53,7 +53,6 @@ def add_stream(commands) -> None:
 def run_stream(args: argparse.Namespace) -> int:
     """``stream SOURCE``: track, and send every frame."""
     chosen = parameters(args.set)
-    from ..sensors import open_source
     from ..sensors.catalogue import is_live
 
     if is_live(args.source):
@@ -62,7 +61,7 @@ def run_stream(args: argparse.Namespace) -> int:
         return run_live_stream(args, chosen)
     from ..export.command import run_stream as run
 
-    return run(open_source(args.source), chosen, args)
+    return run(opened(args.source), chosen, args)
 
 
 def add_live(commands) -> None:

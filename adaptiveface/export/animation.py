@@ -11,7 +11,8 @@ from ..errors import FileFormatError
 from ..mesh import transform_points
 from ..result import Result
 from ..retargeting.character import Character
-from ..retargeting.retarget import Performance, frame_rate, head_frames, increasing
+from ..retargeting.retarget import Performance, head_frames
+from ..timing import frame_rate, increasing
 
 #: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
 CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])

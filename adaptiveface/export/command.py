@@ -16,8 +16,9 @@ from ..retargeting import COEFFICIENTS
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
 from ..retargeting.correctives import character_correctives
-from ..retargeting.retarget import coverage, frame_rate, retarget
+from ..retargeting.retarget import coverage, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
+from ..timing import clean_times, frame_rate
 from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
 
@@ -41,7 +42,7 @@ def run_export(args: argparse.Namespace) -> int:
         from .take import run_take_export
 
         return run_take_export(args, out, _smoothing(args))
-    result = Result.load(args.result)
+    result = _timed(Result.load(args.result), args.result)
     actor = _actor(args.actor, args.result.parent, result)
     options = ExportOptions(args.character, args.coefficients, _smoothing(args), args.correctives)
     if args.format == "arkit-csv":
@@ -71,6 +72,14 @@ def run_export(args: argparse.Namespace) -> int:
     _write_mesh(out, mesh, args.format)
     print(f"{out}: {mesh.name}, {len(mesh)} frames, {len(mesh.target_names)} shapes")
     return 0
+
+
+def _timed(result: Result, path: Path) -> Result:
+    """The result with times that every format can use; says what was repaired."""
+    times = clean_times(result.timestamps, str(path))
+    for note in times.notes:
+        print(note)
+    return replace(result, timestamps=times.seconds)
 
 
 def _smoothing(args: argparse.Namespace) -> Smoothing | None:

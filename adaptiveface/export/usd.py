@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 
@@ -9,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import FileFormatError, MissingExtraError
+from ..timing import time_codes
 from .animation import AnimatedMesh
 from .gltf import METRES, quaternions
 
@@ -38,10 +40,11 @@ def write_usd(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    codes = time_codes(mesh.timestamps, mesh.fps)
     stage.SetTimeCodesPerSecond(mesh.fps)
     stage.SetFramesPerSecond(mesh.fps)
     stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(float(mesh.timestamps[-1] * mesh.fps))
+    stage.SetEndTimeCode(math.ceil(codes[-1]))
     root = UsdSkel.Root.Define(stage, "/performance")
     stage.SetDefaultPrim(root.GetPrim())
     skeleton = UsdSkel.Skeleton.Define(stage, "/performance/skeleton")
@@ -51,7 +54,7 @@ def write_usd(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
     skeleton.CreateRestTransformsAttr(identity)
     names = [prim_name(name) for name in mesh.target_names]
     _write_mesh(pxr, stage, mesh, names)
-    _write_animation(pxr, stage, mesh, names)
+    _write_animation(pxr, stage, mesh, names, codes)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets(["/performance/animation"])
     if not stage.Export(os.fspath(path)):
@@ -85,7 +88,7 @@ def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str]) -> None:
     binding.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 
-def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str]) -> None:
+def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str], codes: np.ndarray) -> None:
     Gf, UsdSkel, Vt = pxr.Gf, pxr.UsdSkel, pxr.Vt
     animation = UsdSkel.Animation.Define(stage, "/performance/animation")
     animation.CreateJointsAttr(["head"])
@@ -93,8 +96,7 @@ def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str]) -> None:
     weights = animation.CreateBlendShapeWeightsAttr()
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)]))
-    for frame, (time, turn) in enumerate(zip(mesh.timestamps, quaternions(mesh.rigid[:, :3, :3]), strict=True)):
-        code = float(time * mesh.fps)
+    for frame, (code, turn) in enumerate(zip(codes.tolist(), quaternions(mesh.rigid[:, :3, :3]), strict=True)):
         weights.Set(Vt.FloatArray.FromNumpy(mesh.weights[frame].astype(np.float32)), code)
         place = METRES * mesh.rigid[frame, :3, 3]
         translations.Set(Vt.Vec3fArray([Gf.Vec3f(*map(float, place))]), code)

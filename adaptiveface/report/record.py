@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import AdaptiveFaceError
 from ..parameters import Parameters
+from ..timing import clean_times
 from ..tracking.types import STAGE_NAMES
 
 
@@ -66,7 +67,8 @@ class RunRecord:
             parameters = text if isinstance(text, Parameters) else Parameters.from_json(str(text or "{}"))
         reasons = getattr(result, "reasons", None)
         return cls(
-            np.arange(count), result.vertices, result.rigid, np.asarray(result.tracked, bool), result.timestamps,
+            np.arange(count), result.vertices, result.rigid, np.asarray(result.tracked, bool),
+            clean_times(result.timestamps).seconds,
             result.coefficients, result.coefficients_initial, result.corrective_updates, result.sample_state,
             result.stage_ms, tuple(str(name) for name in result.stage_names),
             getattr(result, "anchor_distance", unknown), getattr(result, "adaptive_distance", unknown),
@@ -85,7 +87,7 @@ class RunRecord:
 
         return cls(
             column("index", int), column("vertices", np.float32), column("rigid"), column("tracked", bool),
-            column("timestamp"), column("coefficients"), column("coefficients_initial"),
+            clean_times(column("timestamp")).seconds, column("coefficients"), column("coefficients_initial"),
             column("corrective_updates", int), column("sample_state", int), np.array(stage_ms), STAGE_NAMES,
             column("anchor_distance"), column("adaptive_distance"), tuple(frame.reason for frame in frames),
             parameters or Parameters(),

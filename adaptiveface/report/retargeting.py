@@ -11,6 +11,7 @@ from ..retargeting.character import Character
 from ..retargeting.correctives import transferred_correctives
 from ..retargeting.portrait import portrait
 from ..retargeting.smoothing import smoothing_costs
+from ..timing import frame_rate
 from . import charts, page, pictures
 from .context import Context
 
@@ -98,8 +99,7 @@ def _smoothing(context: Context, still_frames: int) -> str:
     still = [k for k in range(_SETTLING, min(still_frames, len(record))) if record.tracked[k]]
     if len(still) < _FEWEST_STILL:
         return ""
-    steps = np.diff(record.timestamps)
-    fps = 1 / float(np.median(steps[steps > 1e-6])) if (steps > 1e-6).any() else 30.0
+    fps = frame_rate(record.timestamps)
     costs = smoothing_costs(record.coefficients[still].astype(float), fps)
     rows = [[c.name, f"{c.jitter:.4f}", f"{c.lag:.0f} ms", f"{c.overshoot:.0%}"] for c in costs]
     return (

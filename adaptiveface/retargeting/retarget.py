@@ -10,6 +10,7 @@ from ..actor import Actor
 from ..errors import ParameterError
 from ..mesh import transform_points
 from ..result import Result
+from ..timing import frame_rate, increasing
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .character import Character
@@ -40,7 +41,7 @@ class Performance:
 
     @property
     def fps(self) -> float:
-        """Frames per second of the recording (from the median distance of its timestamps)."""
+        """Frames per second of the recording, a standard rate where one is near."""
         return frame_rate(self.timestamps)
 
     def smoothed(self, smoothing: Smoothing | None) -> Performance:
@@ -48,13 +49,6 @@ class Performance:
         if smoothing is None:
             return self
         return replace(self, curves=np.clip(smoothing.apply(self.curves, self.timestamps), 0, 1))
-
-
-def frame_rate(timestamps: np.ndarray) -> float:
-    """Frames per second of increasing timestamps (F,) s; 30 where they cannot tell."""
-    steps = np.diff(timestamps)
-    steps = steps[steps > 1e-6]
-    return float(1.0 / np.median(steps)) if len(steps) else 30.0
 
 
 def driving_coefficients(result: Result, coefficients: str = "resolved", actor: Actor | None = None) -> np.ndarray:
@@ -88,16 +82,6 @@ def retarget(
     performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float),
                               table.unknown)  # fmt: skip
     return performance.smoothed(smoothing)
-
-
-def increasing(timestamps: np.ndarray) -> np.ndarray:
-    """(F,) s from 0 on, strictly increasing: repeated or falling times are replaced by the frame rate's."""
-    times = np.asarray(timestamps, float)
-    times = times - times[:1]
-    if np.isfinite(times).all() and (np.diff(times) > 1e-6).all():
-        return times
-    finite = np.where(np.isfinite(times), times, 0.0)
-    return np.arange(len(times)) / frame_rate(finite)
 
 
 def coverage(table: ArkitWeights, character: Character) -> list[str]:

@@ -25,6 +25,7 @@ from PIL import Image
 from ..camera import Camera
 from ..errors import FileFormatError, FrameError
 from ..frame import RgbdFrame
+from ..timing import FrameTimes, frame_times
 from .lzfse_stream import decompress, lzfse_module
 from .recording import DEPTH_RANGE_MM
 
@@ -33,11 +34,11 @@ _MAX_DEPTH_SIDE = 2048
 
 
 class R3dRecording:
-    """A Record3D recording, read frame by frame: ``camera`` of the first frame, ``fps``, ``name``, ``timestamps``.
+    """A Record3D recording, read frame by frame: ``camera`` of the first frame, ``fps``, ``name``, ``timestamps`` (len,) s.
 
-    Each frame carries its own camera where the file has one per frame. ``len()``, ``read(index)`` and iteration (which
-    passes over broken frames). Raises :class:`FileFormatError` for a file that cannot be used at all, and
-    :class:`DriverMissingError` without the extra ``record3d``.
+    ``notes``: what of the times was converted or repaired. Each frame carries its own camera where the file has one per
+    frame. ``len()``, ``read(index)`` and iteration (which passes over broken frames). Raises :class:`FileFormatError`
+    for a file that cannot be used at all, and :class:`DriverMissingError` without the extra ``record3d``.
     """
 
     has_features, depth_scale = False, 10_000.0
@@ -74,7 +75,8 @@ class R3dRecording:
         self.fps = float(fps) if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000 else 30.0
         coefficients = metadata.get("perFrameIntrinsicCoeffs")
         self._per_frame = coefficients if isinstance(coefficients, list) else []
-        self.timestamps = self._timestamps(metadata.get("frameTimestamps"))
+        times = self._times(metadata.get("frameTimestamps"))
+        self.timestamps, self.notes = times.seconds, times.notes
         try:
             self.camera = self._camera((k[0], k[4], k[6], k[7]))
         except FileFormatError as error:
@@ -165,13 +167,13 @@ class R3dRecording:
             raise FileFormatError(f"{self.path}: {key} = {_short(values)} is not a list of {count} numbers")
         return [float(value) for value in values]
 
-    def _timestamps(self, given) -> np.ndarray:
-        """(len(self),) s: the file's where it has one for every frame, else by the frame rate."""
-        if isinstance(given, list) and len(given) > self._frame_numbers[-1]:
-            values = [given[number] for number in self._frame_numbers]
-            if all(map(_is_number, values)):
-                return np.array(values, float)
-        return np.array(self._frame_numbers) / self.fps
+    def _times(self, given) -> FrameTimes:
+        """Of the frames that are there: the file's times where it has one for every frame, else the frame rate's."""
+        numbers = np.array(self._frame_numbers)
+        known = dict(enumerate(numbers / self.fps))
+        if isinstance(given, list) and len(given) > numbers[-1] and all(_is_time(given[number]) for number in numbers):
+            known = {index: float(given[number]) for index, number in enumerate(numbers)}
+        return frame_times(known, len(numbers), self.fps, f"{self.path}: frameTimestamps")
 
     def _frame_camera(self, number: int) -> Camera:
         if number < len(self._per_frame):
@@ -199,6 +201,10 @@ def _short(value) -> str:
         return repr(value)[:80]
     except ValueError:  # an integer of more than 4300 digits
         return "a huge number"
+
+
+def _is_time(value) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e21
 
 
 def _is_number(value) -> bool:

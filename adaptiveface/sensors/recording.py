@@ -38,7 +38,8 @@ class Recording:
     """A recorded performance on disk, read frame by frame.
 
     ``camera`` :class:`Camera`; ``fps``; ``depth_scale`` units per metre; ``name`` of the folder; ``has_features``: the
-    recording holds 2D features. ``len()``, ``read(index)`` and iteration (which passes over the broken frames).
+    recording holds 2D features; ``timestamps`` (len,) s; ``notes``: what of them was converted or repaired. ``len()``,
+    ``read(index)`` and iteration (which passes over the broken frames).
     Raises :class:`FileFormatError` naming the file and the value when the recording cannot be used at all.
     """
 
@@ -58,7 +59,8 @@ class Recording:
             span = f"numbered from {self._first} to {max(numbers)}"
             raise FileFormatError(f"{self.path}: {len(numbers)} frames {span}; number them one by one")
         frames = range(self._first, self._first + self._length)
-        self.timestamps = read_timestamps(self.path / "timestamps.csv", frames, self.fps)
+        times = read_timestamps(self.path / "timestamps.csv", frames, self.fps)
+        self.timestamps, self.notes = times.seconds, times.notes
         self._features = read_features(self.path / "features.csv", frames)
 
     @property

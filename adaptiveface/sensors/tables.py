@@ -12,27 +12,25 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..frame import FEATURE_IDS, Features2D
+from ..timing import FrameTimes, frame_times
 
 _MAX_BYTES = 512 << 20
 _SLOT = {int(feature): slot for slot, feature in enumerate(FEATURE_IDS)}
 
 
-def read_timestamps(path: Path, frames: range, fps: float) -> np.ndarray:
-    """(len(frames),) float64 seconds; without the file, or for frames it leaves out, the frame rate continues."""
-    nominal = np.arange(len(frames)) / fps
-    if not path.exists():
-        return nominal
+def read_timestamps(path: Path, frames: range, fps: float) -> FrameTimes:
+    """Seconds of ``frames`` as :func:`adaptiveface.timing.frame_times` judges them; without the file the frame rate's.
+
+    Raises :class:`FileFormatError` for a table that is malformed, or whose times fit ``fps`` in no unit.
+    """
     known = {}
-    for line, (frame, timestamp) in _rows(path, ("frame", "timestamp")):
-        seconds = _float(path, line, "timestamp", timestamp)
-        if not math.isfinite(seconds):
-            raise FileFormatError(f"{path}: line {line}: timestamp = {timestamp} is not a finite number")
-        known[_int(path, line, "frame", frame) - frames.start] = seconds
-    if not known:
-        return nominal
-    index = np.array(sorted(known))
-    delay = np.array([known[i] for i in index]) - index / fps
-    return nominal + np.interp(np.arange(len(frames)), index, delay)
+    if path.exists():
+        for line, (frame, timestamp) in _rows(path, ("frame", "timestamp")):
+            seconds = _float(path, line, "timestamp", timestamp)
+            if not math.isfinite(seconds):
+                raise FileFormatError(f"{path}: line {line}: timestamp = {timestamp} is not a finite number")
+            known[_int(path, line, "frame", frame) - frames.start] = seconds
+    return frame_times(known, len(frames), fps, str(path))
 
 
 def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
