@@ -95,6 +95,16 @@ class StageSet:
             stages.setdefault(stage, {})[name] = value
         return dataclasses.replace(self, **{s: dataclasses.replace(getattr(self, s), **v) for s, v in stages.items()})
 
+    def diff(self, other: Self) -> dict[str, tuple[Any, Any]]:
+        """What differs from another set: ``{"laplacian.w2": (value here, value there)}``."""
+        return {
+            f"{stage.name}.{entry.name}": (here, there)
+            for stage in fields(self)
+            for entry in fields(getattr(self, stage.name))
+            if (here := getattr(getattr(self, stage.name), entry.name))
+            != (there := getattr(getattr(other, stage.name), entry.name))
+        }
+
     def to_json(self) -> str:
         """JSON of every parameter, by stage."""
         return json.dumps(dataclasses.asdict(self))

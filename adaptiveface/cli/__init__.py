@@ -17,7 +17,7 @@ EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 #: In the order of the help; each adds itself.
 COMMANDS = (
     offline.add_demo, offline.add_capture, offline.add_track, sensors.add_record, sensors.add_convert,
-    offline.add_export, sensors.add_stream, sensors.add_live, studies.add_batch, tools.add_bench,
+    offline.add_export, sensors.add_stream, sensors.add_live, studies.add_batch, studies.add_evaluate, tools.add_bench,
     tools.add_lab,
 )  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..errors import ParameterError
 from ..export.arguments import FORMATS
 from .arguments import add_settings, parameters, whole
 
@@ -51,3 +52,24 @@ def run_batch(args: argparse.Namespace) -> int:
         print(f"failed: {record['source']}: {record['reason']}")
     print(f"{args.out / 'index.html'}: {len(records) - len(failed)} of {len(records)} done, {len(failed)} failed")
     return 1 if failed else 0
+
+
+def add_evaluate(commands) -> None:
+    """``evaluate``."""
+    evaluate = commands.add_parser("evaluate", help="score results, or another tracker's meshes, against the truth")
+    evaluate.add_argument("pairs", nargs="+", metavar="RESULT TRUTH",
+                          help="result.npz or another tracker's .npz, and its truth: ground_truth.npz, the recording's "
+                          "folder, or synthetic:SEED[:NOISE]; several pairs make a mean over performers")  # fmt: skip
+    evaluate.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside each result")
+    evaluate.add_argument("--step", type=whole(1, 1000), default=1, metavar="N", help="score every N-th frame")
+    evaluate.add_argument("--csv", type=Path, metavar="FILE", help="also write one row per result")
+    evaluate.set_defaults(run=run_evaluate)
+
+
+def run_evaluate(args: argparse.Namespace) -> int:
+    """``evaluate RESULT TRUTH [RESULT TRUTH ...]``."""
+    from .scores import compare_runs
+
+    if len(args.pairs) % 2:
+        raise ParameterError(f"{args.pairs[-1]}: each result needs its truth after it")
+    return compare_runs(list(zip(args.pairs[::2], args.pairs[1::2], strict=True)), args.actor, args.step, args.csv)

@@ -3,6 +3,7 @@
 Nothing here is needed for tracking. :mod:`.metrics` holds the measures as functions of arrays, :mod:`.run` scores.
 """
 
+from .compare import bootstrap_interval, score_other, score_result
 from .metrics import (
     ACTIVE_MOTION,
     TrueSurface,
@@ -21,7 +22,8 @@ from .truth import FIRST, NEUTRAL, PERFORMANCE_NAMES, REPEAT, GroundTruth, Truth
 
 __all__ = [
     "ACTIVE_MOTION", "FIRST", "NEUTRAL", "PERFORMANCE_NAMES", "REGIONS", "REPEAT", "STAGES", "ErrorCollector",
-    "Evaluation", "GroundTruth", "TrueSurface", "TruthFrame", "active_share", "actor_regions", "evaluate_run",
-    "motion_error", "neutral_alignment", "pose_error", "region_masks", "split_by_normal",
+    "Evaluation", "GroundTruth", "TrueSurface", "TruthFrame", "active_share", "actor_regions", "bootstrap_interval",
+    "evaluate_run", "motion_error", "neutral_alignment", "pose_error", "region_masks", "score_other", "score_result",
+    "split_by_normal",
     "surface_distance", "tracked_alignment", "true_motion", "truth_of",
 ]  # fmt: skip
