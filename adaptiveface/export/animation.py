@@ -8,12 +8,16 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import FileFormatError
-from ..mesh import transform_points
+from ..mesh import transform_points, vertex_normals
 from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.retarget import Performance, head_frames
-from ..timing import frame_rate, increasing
+from ..timing import frame_rate, increasing, time_codes
 
+#: Metres in a millimetre: what glTF, USD and the streams count in.
+METRES = 1e-3
+#: sRGB of skin where a mesh has no colours of its own.
+SKIN = (204, 168, 149)
 #: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
 CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])
 
@@ -50,6 +54,30 @@ class AnimatedMesh:
         flat = self.targets.reshape(len(self.targets), -1)
         vertices = self.neutral + (self.weights[frame] @ flat).reshape(-1, 3)
         return transform_points(self.rigid[frame], vertices) if posed else vertices
+
+
+    @property
+    def codes(self) -> np.ndarray:
+        """(F,) times in frames at :attr:`fps`: whole numbers where the times lie on the rate."""
+        return time_codes(self.timestamps, self.fps)
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) mm: the median place of the head in the view frame, which files put at the origin."""
+        return np.median(self.rigid[:, :3, 3], axis=0)
+
+
+def linear_colours(colours: np.ndarray) -> np.ndarray:
+    """Linear light (..., 3), 0 to 1, of sRGB (..., 3), 0 to 255."""
+    colours = np.asarray(colours, float)
+    return np.where(colours <= 10, colours / 3294.6, ((colours / 255 + 0.055) / 1.055) ** 2.4)
+
+
+def unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(V, 3) float32 of unit length; (0, 0, 1) where a vertex has no triangle."""
+    normals = vertex_normals(vertices, triangles).astype(np.float32)
+    normals[np.linalg.norm(normals, axis=1) < 0.5] = (0.0, 0.0, 1.0)
+    return normals
 
 
 def view_motion(rigid: np.ndarray) -> np.ndarray:

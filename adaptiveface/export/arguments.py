@@ -8,7 +8,7 @@ from pathlib import Path
 from ..retargeting import BUILT_IN, COEFFICIENTS
 
 #: format -> what the output's name ends in ("": a folder).
-FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "usd": ".usdc", "mp4": ".mp4", "gif": ".gif"}
+FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "usd": ".usdc", "usdz": ".usdz", "mp4": ".mp4", "gif": ".gif"}
 
 
 def add_export_arguments(command: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ from ..timing import clean_times, frame_rate
 from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
 
-_USD_SUFFIXES = (".usd", ".usda", ".usdc")
+_USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def _write_mesh(out: Path, mesh: AnimatedMesh, kind: str) -> None:
         from .gltf import write_glb
 
         write_glb(out, mesh)
-    elif kind == "usd":
+    elif kind in ("usd", "usdz"):
         from .usd import write_usd
 
         write_usd(out, mesh)

@@ -16,11 +16,9 @@ import numpy as np
 
 from .. import __version__
 from ..errors import FileFormatError
-from ..mesh import vertex_normals
 from ..retargeting.gltf_file import GltfFile
-from .animation import AnimatedMesh
+from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
 
-METRES = 1e-3
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125
 _ARRAY, _ELEMENTS = 34962, 34963
 _COMPONENT = {np.dtype(np.float32): _FLOAT, np.dtype(np.uint16): _USHORT, np.dtype(np.uint32): _UINT}
@@ -90,7 +88,7 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [
-            {"name": "performance", "children": [1], "translation": _metres(-np.median(mesh.rigid[:, :3, 3], axis=0))},
+            {"name": "performance", "children": [1], "translation": _metres(-mesh.centre)},
             {"name": "head", "mesh": 0},
         ],
         "meshes": [_mesh(builder, mesh)],
@@ -99,7 +97,7 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
         "animations": [_animation(builder, mesh)],
     }  # fmt: skip
     if mesh.colours is None:
-        document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [0.6, 0.39, 0.3, 1.0]
+        document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [*map(float, linear_colours(SKIN)), 1.0]
     document |= {"accessors": builder.accessors, "bufferViews": builder.views,
                  "buffers": [{"byteLength": len(builder.binary)}]}  # fmt: skip
     _write(path, document, builder.binary)
@@ -111,18 +109,18 @@ def _metres(vector: np.ndarray) -> list[float]:
 
 def _mesh(builder: _Builder, mesh: AnimatedMesh) -> dict:
     triangles = mesh.triangles.astype(np.uint16 if len(mesh.neutral) <= 65535 else np.uint32)
-    normals = _unit_normals(mesh.neutral, mesh.triangles)
+    normals = unit_normals(mesh.neutral, mesh.triangles)
     attributes = {
         "POSITION": builder.accessor((METRES * mesh.neutral).astype(np.float32), _ARRAY, bounds=True),
         "NORMAL": builder.accessor(normals, _ARRAY),
     }
     if mesh.colours is not None:
-        linear = np.where(mesh.colours <= 10, mesh.colours / 3294.6, ((mesh.colours / 255 + 0.055) / 1.055) ** 2.4)
-        colours = np.rint(65535 * np.column_stack([linear, np.ones(len(linear))])).astype(np.uint16)
+        linear = np.column_stack([linear_colours(mesh.colours), np.ones(len(mesh.colours))])
+        colours = np.rint(65535 * linear).astype(np.uint16)
         attributes["COLOR_0"] = builder.accessor(colours, _ARRAY, normalized=True)
     targets = []
     for target in mesh.targets:
-        turned = _unit_normals(mesh.neutral + target, mesh.triangles) - normals
+        turned = unit_normals(mesh.neutral + target, mesh.triangles) - normals
         turned[np.abs(turned).max(axis=1) < 1e-4] = 0.0
         targets.append({"POSITION": builder.sparse((METRES * target).astype(np.float32), bounds=True),
                         "NORMAL": builder.sparse(turned)})  # fmt: skip
@@ -134,15 +132,8 @@ def _mesh(builder: _Builder, mesh: AnimatedMesh) -> dict:
     return entry
 
 
-def _unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    normals = vertex_normals(vertices, triangles).astype(np.float32)
-    length = np.linalg.norm(normals, axis=1)
-    normals[length < 0.5] = (0.0, 0.0, 1.0)
-    return normals
-
-
 def _animation(builder: _Builder, mesh: AnimatedMesh) -> dict:
-    times = builder.accessor(mesh.timestamps.astype(np.float32), bounds=True)
+    times = builder.accessor((mesh.codes / mesh.fps).astype(np.float32), bounds=True)
     position = (METRES * mesh.rigid[:, :3, 3]).astype(np.float32)
     curves = {"translation": position, "rotation": quaternions(mesh.rigid[:, :3, :3]).astype(np.float32)}
     if mesh.targets.size:

@@ -13,8 +13,8 @@ from ..retargeting.arkit import ARKIT_NAMES, arkit_weights
 from ..retargeting.resolve import SparseResolve
 from ..retargeting.smoothing import Smoothing
 from ..tracking.types import TrackedFrame
-from .animation import view_motion
-from .gltf import METRES, quaternions
+from .animation import METRES, view_motion
+from .gltf import quaternions
 
 LOOPBACK, VMC_PORT, OSC_PORT = "127.0.0.1", 39539, 9000
 

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import re
+import tempfile
+from collections.abc import Collection, Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import FileFormatError, MissingExtraError
-from ..timing import time_codes
-from .animation import AnimatedMesh
-from .gltf import METRES, quaternions
+from ..files import replacing
+from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
+from .gltf import quaternions
 
 
 def _pxr():
     try:
         import pxr.Gf
+        import pxr.Kind
         import pxr.Sdf
         import pxr.Usd
         import pxr.UsdGeom
+        import pxr.UsdShade
         import pxr.UsdSkel
+        import pxr.UsdUtils
         import pxr.Vt
     except ImportError as error:
         raise MissingExtraError(f"USD needs usd-core: python -m pip install 'adaptiveface[usd]' ({error})") from None
@@ -33,62 +40,132 @@ def prim_name(name: str) -> str:
     return re.sub(r"^(?=\d)|\W", "_", name, flags=re.ASCII) or "_"
 
 
+def prim_names(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:
+    """:func:`prim_name` of every name; those that would collide, with each other or ``taken``, get a number."""
+    out: list[str] = []
+    for name in map(prim_name, names):
+        numbered = (f"{name}_{k}" for k in itertools.count(2))
+        out.append(next(n for n in itertools.chain([name], numbered) if n not in out and n not in taken))
+    return out
+
+
 def write_usd(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
-    """Write ``.usd``, ``.usda`` or ``.usdc``: metres, y up; the head's motion drives the one joint of a skeleton."""
+    """Write ``.usd``, ``.usda``, ``.usdc`` or a ``.usdz`` package, whole or not at all.
+
+    Metres, y up; the head's motion drives the one joint of a skeleton, and the median place of the head is the origin.
+    The shapes have their normals, the surface is a UsdPreviewSurface with the mesh's colours. Time codes are frames.
+    """
+    stage = _stage(_pxr(), mesh)
+    with replacing(path) as temporary:
+        if Path(path).suffix.lower() == ".usdz":
+            _write_package(stage, temporary)
+        else:
+            _export(stage, temporary)
+
+
+def _export(stage, path: Path) -> None:
+    if not stage.Export(os.fspath(path)):
+        raise FileFormatError(f"{path}: USD could not write the file")
+
+
+def _write_package(stage, path: Path) -> None:
+    """A package as Apple's AR Quick Look takes it: one .usdc inside an uncompressed zip."""
     pxr = _pxr()
+    with tempfile.TemporaryDirectory() as folder:
+        layer = Path(folder) / "performance.usdc"
+        _export(stage, layer)
+        if not pxr.UsdUtils.CreateNewARKitUsdzPackage(pxr.Sdf.AssetPath(os.fspath(layer)), os.fspath(path)):
+            raise FileFormatError(f"{path}: USD could not write the package")
+
+
+def _stage(pxr, mesh: AnimatedMesh):
     Usd, UsdGeom, UsdSkel, Vt, Gf = pxr.Usd, pxr.UsdGeom, pxr.UsdSkel, pxr.Vt, pxr.Gf
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    codes = time_codes(mesh.timestamps, mesh.fps)
     stage.SetTimeCodesPerSecond(mesh.fps)
     stage.SetFramesPerSecond(mesh.fps)
     stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(math.ceil(codes[-1]))
+    stage.SetEndTimeCode(math.ceil(mesh.codes[-1]))
     root = UsdSkel.Root.Define(stage, "/performance")
+    pxr.Usd.ModelAPI(root).SetKind(pxr.Kind.Tokens.component)
+    UsdGeom.XformCommonAPI(root).SetTranslate(Gf.Vec3d(*map(float, -METRES * mesh.centre)))
     stage.SetDefaultPrim(root.GetPrim())
     skeleton = UsdSkel.Skeleton.Define(stage, "/performance/skeleton")
     skeleton.CreateJointsAttr(["head"])
     identity = Vt.Matrix4dArray([Gf.Matrix4d(1.0)])
     skeleton.CreateBindTransformsAttr(identity)
     skeleton.CreateRestTransformsAttr(identity)
-    names = [prim_name(name) for name in mesh.target_names]
-    _write_mesh(pxr, stage, mesh, names)
-    _write_animation(pxr, stage, mesh, names, codes)
+    names = prim_names(mesh.target_names)
+    body = _write_mesh(pxr, stage, mesh, names)
+    _write_material(pxr, stage, mesh, body)
+    _write_animation(pxr, stage, mesh, names)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets(["/performance/animation"])
-    if not stage.Export(os.fspath(path)):
-        raise FileFormatError(f"{path}: USD could not write the file")
+    return stage
 
 
-def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str]) -> None:
+def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str]):
     UsdGeom, UsdSkel, Vt = pxr.UsdGeom, pxr.UsdSkel, pxr.Vt
-    body = UsdGeom.Mesh.Define(stage, f"/performance/{prim_name(mesh.name)}")
+    name = prim_names([mesh.name], taken=("skeleton", "animation", "materials"))[0]
+    body = UsdGeom.Mesh.Define(stage, f"/performance/{name}")
     points = (METRES * mesh.neutral).astype(np.float32)
+    normals = unit_normals(mesh.neutral, mesh.triangles)
     body.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    body.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+    body.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     body.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.triangles), 3, np.int32)))
     body.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.triangles.astype(np.int32).ravel()))
     body.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    body.CreateDoubleSidedAttr(True)
     body.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
-    if mesh.colours is not None:
-        linear = ((mesh.colours / 255) ** 2.2).astype(np.float32)
-        body.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(Vt.Vec3fArray.FromNumpy(linear))
     binding = UsdSkel.BindingAPI.Apply(body.GetPrim())
     binding.CreateJointIndicesPrimvar(True, 1).Set([0])
     binding.CreateJointWeightsPrimvar(True, 1).Set([1.0])
     binding.CreateSkeletonRel().SetTargets(["/performance/skeleton"])
     binding.CreateBlendShapesAttr(names)
     targets = []
-    for name, target in zip(names, mesh.targets, strict=True):
+    for label, name, target in zip(mesh.target_names, names, mesh.targets, strict=True):
         shape = UsdSkel.BlendShape.Define(stage, f"{body.GetPath()}/{name}")
-        moving = np.flatnonzero(np.abs(target).max(axis=1) > 0)
+        turned = unit_normals(mesh.neutral + target, mesh.triangles) - normals
+        turned[np.abs(turned).max(axis=1) < 1e-4] = 0.0
+        moving = np.flatnonzero((target != 0).any(axis=1) | turned.any(axis=1))
         shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy((METRES * target[moving]).astype(np.float32)))
+        shape.CreateNormalOffsetsAttr(Vt.Vec3fArray.FromNumpy(turned[moving]))
         shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
+        if name != label:
+            shape.GetPrim().SetDisplayName(label)
         targets.append(shape.GetPath())
     binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+    return body
 
 
-def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str], codes: np.ndarray) -> None:
+def _write_material(pxr, stage, mesh: AnimatedMesh, body) -> None:
+    """Skin that takes its colour from the vertices, which ``displayColor`` holds, or one colour for all."""
+    UsdGeom, UsdShade, Sdf, Gf, Vt = pxr.UsdGeom, pxr.UsdShade, pxr.Sdf, pxr.Gf, pxr.Vt
+    UsdGeom.Scope.Define(stage, "/performance/materials")
+    material = UsdShade.Material.Define(stage, "/performance/materials/skin")
+    surface = UsdShade.Shader.Define(stage, "/performance/materials/skin/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    if mesh.colours is None:
+        skin = Gf.Vec3f(*map(float, linear_colours(SKIN)))
+        colour.Set(skin)
+        body.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set(Vt.Vec3fArray([skin]))
+    else:
+        linear = linear_colours(mesh.colours).astype(np.float32)
+        body.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(Vt.Vec3fArray.FromNumpy(linear))
+        reader = UsdShade.Shader.Define(stage, "/performance/materials/skin/colours")
+        reader.CreateIdAttr("UsdPrimvarReader_float3")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+        colour.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
+    material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(body.GetPrim()).Bind(material)
+
+
+def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str]) -> None:
     Gf, UsdSkel, Vt = pxr.Gf, pxr.UsdSkel, pxr.Vt
     animation = UsdSkel.Animation.Define(stage, "/performance/animation")
     animation.CreateJointsAttr(["head"])
@@ -96,7 +173,8 @@ def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str], codes: np
     weights = animation.CreateBlendShapeWeightsAttr()
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)]))
-    for frame, (code, turn) in enumerate(zip(codes.tolist(), quaternions(mesh.rigid[:, :3, :3]), strict=True)):
+    turns = quaternions(mesh.rigid[:, :3, :3])
+    for frame, (code, turn) in enumerate(zip(map(float, mesh.codes), turns, strict=True)):
         weights.Set(Vt.FloatArray.FromNumpy(mesh.weights[frame].astype(np.float32)), code)
         place = METRES * mesh.rigid[frame, :3, 3]
         translations.Set(Vt.Vec3fArray([Gf.Vec3f(*map(float, place))]), code)
@@ -121,11 +199,12 @@ def read_usd(path: str | os.PathLike) -> AnimatedMesh:
     body, animation = UsdGeom.Mesh(meshes[0]), UsdSkel.Animation(animations[0])
     scale = UsdGeom.GetStageMetersPerUnit(stage) / METRES
     neutral = scale * np.array(body.GetPointsAttr().Get(), float)
-    names = tuple(str(name) for name in animation.GetBlendShapesAttr().Get() or ())
+    names = [str(name) for name in animation.GetBlendShapesAttr().Get() or ()]
     targets = np.zeros((len(names), len(neutral), 3))
     prim_paths = UsdSkel.BindingAPI(meshes[0]).GetBlendShapeTargetsRel().GetTargets()
-    for row, prim_path in zip(targets, prim_paths, strict=True):
+    for k, (row, prim_path) in enumerate(zip(targets, prim_paths, strict=True)):
         shape = UsdSkel.BlendShape(stage.GetPrimAtPath(prim_path))
+        names[k] = shape.GetPrim().GetDisplayName() or names[k]
         indices = np.array(shape.GetPointIndicesAttr().Get(), int)
         if len(indices):
             row[indices] = scale * np.array(shape.GetOffsetsAttr().Get(), float)
@@ -138,5 +217,5 @@ def read_usd(path: str | os.PathLike) -> AnimatedMesh:
         pose[:3, 3] = scale * np.array(animation.GetTranslationsAttr().Get(code)[0], float)
     triangles = np.array(body.GetFaceVertexIndicesAttr().Get(), np.int32).reshape(-1, 3)
     times = np.array(codes) / stage.GetTimeCodesPerSecond()
-    return AnimatedMesh(body.GetPrim().GetName(), neutral, triangles, names, targets,
+    return AnimatedMesh(body.GetPrim().GetName(), neutral, triangles, tuple(names), targets,
                         weights.reshape(len(codes), len(names)), times, rigid)  # fmt: skip
