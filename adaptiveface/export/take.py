@@ -11,7 +11,7 @@ from ..errors import ParameterError
 from ..livelink import ARKIT_NAMES, LiveLinkTake, read_take
 from ..retargeting import BUILT_IN
 from ..retargeting.character import Character, load_character
-from ..retargeting.retarget import Performance
+from ..retargeting.retarget import Performance, undriven
 from ..retargeting.smoothing import Smoothing
 from .animation import AnimatedMesh, character_animation
 from .arkit_csv import take_performance, write_arkit_csv
@@ -61,9 +61,7 @@ def take_coverage(take: LiveLinkTake, character: Character) -> list[str]:
     moving = {name for name, curve in zip(ARKIT_NAMES, take.curves.T, strict=True) if np.ptp(curve) > 1e-3}
     missing = [name for name in character.missing if name in moving]
     lines = [f"{character.name} lacks: {', '.join(missing)}"] if missing else []
-    if character.unknown:
-        lines.append(f"{character.name} has shapes that nothing drives: {', '.join(character.unknown)}")
-    return lines + list(character.notes)
+    return lines + undriven(character) + list(character.notes)
 
 
 def write_character_video(path: Path, mesh: AnimatedMesh, performance: Performance, turntable: bool = False) -> None:

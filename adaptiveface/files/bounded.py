@@ -32,9 +32,9 @@ def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
     with open(descriptor, "rb") as stream:
         if status.st_size > max_bytes:
             raise FileFormatError(f"{path}: {status.st_size} bytes, at most {max_bytes} are read")
-        content = stream.read(max_bytes + 1)
-    if len(content) > max_bytes:  # it grew while it was read
-        raise FileFormatError(f"{path}: more than the {max_bytes} bytes that are read")
+        content = stream.read(status.st_size + 1)  # not max_bytes: read() takes the memory for all it is asked for
+    if len(content) > status.st_size:
+        raise FileFormatError(f"{path}: it grew while it was read")
     return content
 
 

@@ -15,6 +15,7 @@ from ..face_model import FaceModel, embedded_face_model
 from ..npz import Field, check_indices, load_checked
 from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
+from .shape_names import driven_shapes
 
 #: Displacements in character files are whole numbers of this many millimetres.
 STEP_MM = 0.04
@@ -27,6 +28,7 @@ _FIELDS = {
     "expressions": Field(("E", "M", 3), "i"),
     "expression_names": Field(("E",), "U"),
     "skin": Field((), "iu", optional=True),
+    "mix": Field(("E", 52), optional=True),
 }
 
 
@@ -37,7 +39,8 @@ class Character:
     neutral (V, 3) mm in the head frame (x to the subject's left, y up, z out of the face); triangles (T, 3) int32;
     expression_names (E,) as in the file; expressions (E, V, 3) mm, displacements at full activation; colours (V, 3)
     uint8 sRGB or None; skin: the first ``skin`` vertices are the skin, in the order of the tracking mesh where the
-    character was made from it (0: another topology); notes: what the loader left out or merged, one line each.
+    character was made from it (0: another topology); notes: what the loader left out or merged, one line each; mix
+    (E, 52): weights of the ARKit curves in each expression, None where every expression follows the curve of its name.
     """
 
     name: str
@@ -48,6 +51,7 @@ class Character:
     colours: np.ndarray | None = None
     skin: int = 0
     notes: tuple[str, ...] = ()
+    mix: np.ndarray | None = None
 
     def shape(self, weights: np.ndarray) -> np.ndarray:
         """(V, 3) mm, or (F, V, 3), for weights (E,) or (F, E) of the expressions."""
@@ -55,27 +59,39 @@ class Character:
         return self.neutral + (weights @ flat).reshape(*np.shape(weights)[:-1], -1, 3)
 
     @property
+    def rows(self) -> np.ndarray:
+        """(E, 52) weights of the ARKit curves, columns ``ARKIT_NAMES``, in each expression; zero: nothing drives it."""
+        if self.mix is not None:
+            return self.mix
+        rows = np.zeros((len(self.expression_names), len(ARKIT_NAMES)))
+        for number, row in driven_shapes(self.expression_names)[0].items():
+            rows[number] = row
+        return rows
+
+    @property
     def drivers(self) -> tuple[str | None, ...]:
-        """(E,) ARKit name that drives each expression, None where there is none."""
-        return tuple(canonical_name(name) for name in self.expression_names)
+        """(E,) ARKit name whose curve is the weight of each expression; None for mixtures and what nothing drives."""
+        return tuple(ARKIT_NAMES[row.argmax()] if row.max() == row.sum() == 1 else None for row in self.rows)
 
     @property
     def unknown(self) -> tuple[str, ...]:
         """Expressions that no ARKit shape drives: they stay at zero."""
-        return tuple(name for name, arkit in zip(self.expression_names, self.drivers, strict=True) if arkit is None)
+        driven = self.rows.any(axis=1)
+        return tuple(name for name, moves in zip(self.expression_names, driven, strict=True) if not moves)
 
     @property
     def missing(self) -> tuple[str, ...]:
         """ARKit shapes that the character does not have."""
-        return tuple(name for name in ARKIT_NAMES if name not in self.drivers)
+        return tuple(np.array(ARKIT_NAMES)[~(self.rows > 0).any(axis=0)].tolist())
+
+    @property
+    def size(self) -> np.ndarray:
+        """(3,) mm: width, height and depth of the neutral."""
+        return np.ptp(self.neutral, axis=0)
 
     def weights(self, curves: np.ndarray) -> np.ndarray:
         """(F, E) weights in [0, 1] of the character's expressions for ARKit curves (F, 52)."""
-        out = np.zeros((len(curves), len(self.expression_names)))
-        for e, name in enumerate(self.drivers):
-            if name is not None:
-                out[:, e] = np.clip(curves[:, ARKIT_NAMES.index(name)], 0.0, 1.0)
-        return out
+        return np.clip(np.asarray(curves, float) @ self.rows.T, 0.0, 1.0)
 
     def shares_topology(self, triangles: np.ndarray) -> bool:
         """Whether the skin is the mesh ``triangles`` (T, 3), vertex by vertex."""
@@ -94,6 +110,8 @@ class Character:
             moving=moving.astype(small), expressions=steps.astype(np.int16),
             expression_names=np.array(self.expression_names), skin=np.array(self.skin, np.uint32),
         )  # fmt: skip
+        if self.mix is not None:
+            arrays["mix"] = self.mix.astype(np.float32)
         if self.colours is not None:
             arrays["colours"] = self.colours.astype(np.uint8)
         with open(path, "wb") as stream:
@@ -113,7 +131,7 @@ def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Char
         raise FileFormatError(f"{path}: 'skin' = {skin}, but there are {n} vertices")
     names = tuple(str(text) for text in data["expression_names"])
     return Character(name or Path(path).stem, data["neutral"].astype(float), data["triangles"].astype(np.int32), names,
-                     expressions, data.get("colours"), skin)  # fmt: skip
+                     expressions, data.get("colours"), skin, mix=data.get("mix"))  # fmt: skip
 
 
 def load_character(source: str | os.PathLike) -> Character:
@@ -151,20 +169,22 @@ def average_character(model: FaceModel | None = None) -> Character:
 def make_character(
     name: str, neutral: np.ndarray, triangles: np.ndarray, shapes: Sequence[tuple[str, np.ndarray]], **options
 ) -> Character:
-    """A character from absolute target meshes: ``shapes`` of (name, displacement (V, 3) mm), merged by ARKit name.
+    """A character from target meshes: ``shapes`` of (name, displacement (V, 3) mm), each name once.
 
-    Halves of a shape that ARKit does not split (ICT-FaceKit's ``browInnerUp_L`` and ``_R``) add up to the whole, which
-    ``notes`` says; a second shape with the same name is an error of the caller.
+    Halves of a shape that ARKit does not split (ICT-FaceKit's ``browInnerUp_L`` and ``_R``) are joined to the whole, unless
+    the whole is there too: :func:`adaptiveface.retargeting.shape_names.driven_shapes` decides, and ``notes`` say it.
     """
-    notes = list(options.pop("notes", ()))
-    merged: dict[str, np.ndarray] = {}
-    origin: dict[str, list[str]] = {}
-    for shape, displacement in shapes:
-        target = canonical_name(shape) or shape
-        split = target in origin
-        merged[target] = merged[target] + displacement if split else displacement
-        origin.setdefault(target, []).append(shape)
-    notes += [f"{' + '.join(parts)} make {target}" for target, parts in origin.items() if len(parts) > 1]
-    expressions = np.stack(list(merged.values())) if merged else np.zeros((0, len(neutral), 3))
-    names = tuple(parts[0] if len(parts) == 1 else target for target, parts in origin.items())
-    return Character(name, neutral, triangles, names, expressions, notes=tuple(notes), **options)
+    names = [shape for shape, _ in shapes]
+    chosen, notes = driven_shapes(names)
+    merged: dict[str, list[int]] = {}
+    for number, shape in enumerate(names):
+        key = f"driven {chosen[number].nonzero()[0].tolist()}" if number in chosen else shape
+        merged.setdefault(key, []).append(number)
+    parts = list(merged.values())
+    expressions = np.zeros((len(parts), *np.shape(neutral)))
+    for out, numbers in zip(expressions, parts, strict=True):
+        out += sum(shapes[number][1] for number in numbers)
+    labels = tuple(names[n[0]] if len(n) == 1 else canonical_name(names[n[0]]) or names[n[0]] for n in parts)
+    mix = np.array([chosen.get(n[0], np.zeros(len(ARKIT_NAMES))) for n in parts]).reshape(-1, len(ARKIT_NAMES))
+    notes = (*options.pop("notes", ()), *notes)
+    return Character(name, neutral, triangles, labels, expressions, notes=notes, mix=mix, **options)

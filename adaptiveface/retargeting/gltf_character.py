@@ -1,182 +1,137 @@
-"""Characters from glTF 2.0 and VRM files with morph targets named in the ARKit convention.
-
-Names come from ``mesh.extras.targetNames`` (or the primitive's, as UniVRM writes), and from VRM's own expressions. A
-skeleton is ignored: the mesh is taken in its bind pose.
-"""
+"""Characters from glTF 2.0 and VRM files: the neutral of the face as the file shows it, and what drives it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from .arkit import canonical_name
-from .character import Character, make_character
+from .character import Character
+from .face_rig import FaceRig, face_rig
+from .gltf_bones import find_bones
+from .gltf_container import extensions
 from .gltf_file import GltfFile
-
-MAX_TARGETS = 2000
-_METRES_TO_MM = 1000.0
-
-
-@dataclass
-class _Piece:
-    """One triangle primitive in the scene: mm, its morph targets by name."""
-
-    mesh: int
-    vertices: np.ndarray
-    triangles: np.ndarray
-    shapes: list[np.ndarray]
-    names: list[str]
-    colours: np.ndarray | None
+from .gltf_nodes import Nodes
+from .gltf_pieces import Piece, read_pieces
+from .units import LARGEST_HEAD, METRES, size_note
 
 
-def load_gltf_character(path: str | Path) -> Character:
-    """Read the face of a .glb, .gltf or .vrm file; raises :class:`FileFormatError` with the file and the reason.
+def load_gltf_character(path: str | Path, unit: float | None = None) -> Character:
+    """Read the face of a .glb, .gltf or .vrm file.
 
     Meshes without morph targets are kept where they lie within the face (eyes, teeth, hair) and left out elsewhere (a
-    body); notes say so. The unit is metres, as glTF demands; VRM 0.x looks along -z and is turned round.
+    body); notes say so. VRM 0.x looks along -z and is turned round.
+
+    Parameters
+    ----------
+    path : path-like
+        The file. Compressed meshes need the extra ``avatars``.
+    unit : float, optional
+        Millimetres per unit of length of the file; 1000 as glTF demands where it is not given.
+
+    Raises
+    ------
+    FileFormatError
+        With the file and the reason.
+    MissingExtraError
+        The meshes are compressed, and the library that opens them is not installed.
     """
     file = GltfFile(Path(path))
     with file.errors():
-        pieces = _pieces(file)
-        if not any(piece.shapes for piece in pieces):
-            raise file.error("no mesh has morph targets; export it with its shape keys (blend shapes)")
-        if "VRM" in file.document.get("extensions", {}):
-            for piece in pieces:
-                piece.vertices *= [-1.0, 1.0, -1.0]
-                piece.shapes = [shape * [-1.0, 1.0, -1.0] for shape in piece.shapes]
-        pieces, notes = _near_the_face(pieces)
-        shapes = _merged(file, pieces)
-        if not any(canonical_name(name) for name, _ in shapes):
-            some = ", ".join(name for name, _ in shapes[:8])[:200]
-            raise file.error(f"no morph target has an ARKit name such as jawOpen (targets: {some or 'none'})")
-        starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
-        vertices = np.concatenate([piece.vertices for piece in pieces])
-        triangles = np.concatenate([s + p.triangles for s, p in zip(starts, pieces, strict=False)]).astype(np.int32)
-        colours = None
-        if any(piece.colours is not None for piece in pieces):
-            colours = np.concatenate([_colours(piece) for piece in pieces])
-        return make_character(Path(path).stem, vertices, triangles, shapes, colours=colours, notes=notes)
+        rig = face_rig(file)
+        return open_character(file, Nodes(file), rig, METRES if unit is None else unit)
 
 
-def _pieces(file: GltfFile) -> list[_Piece]:
-    pieces, budget = [], 0
-    for number, world in file.world_transforms().items():
-        node = file.item("nodes", number)
-        if "mesh" not in node:
-            continue
-        transform = np.eye(4) if "skin" in node else world  # a skin's joints place its mesh, not the node (3.7.3.3)
-        mesh = file.item("meshes", node["mesh"])
-        for primitive in mesh["primitives"]:
-            if primitive.get("mode", 4) != 4:
-                continue
-            budget += 1
-            if budget > 2000:
-                raise file.error("more than 2000 primitives")
-            pieces.append(_piece(file, node["mesh"], mesh, primitive, transform))
-    if not pieces:
-        raise file.error("no node shows a mesh of triangles")
-    return pieces
-
-
-def _piece(file: GltfFile, number: int, mesh: dict, primitive: dict, transform: np.ndarray) -> _Piece:
-    vertices = file.accessor(primitive["attributes"]["POSITION"]).astype(float)
-    if vertices.shape[1] != 3:
-        raise file.error("POSITION does not hold three coordinates")
-    targets = primitive.get("targets", [])
-    if len(targets) > MAX_TARGETS:
-        raise file.error(f"{len(targets)} morph targets; at most {MAX_TARGETS} are read")
-    shapes = []
-    for target in targets:
-        if "POSITION" in target:
-            shape = file.accessor(target["POSITION"], len(vertices)).astype(float)
-            if shape.shape != vertices.shape:
-                raise file.error("a morph target does not hold three coordinates")
-        else:
-            file.spend(vertices.size, zeros=True)
-            shape = np.zeros_like(vertices)
-        shapes.append(_METRES_TO_MM * shape @ transform[:3, :3].T)
-    names = mesh.get("extras", {}).get("targetNames") or primitive.get("extras", {}).get("targetNames") or []
-    if not isinstance(names, list) or not all(isinstance(name, str) and len(name) <= 256 for name in names):
-        raise file.error("extras.targetNames is not a list of short names")
-    if names and len(names) != len(shapes):
-        raise file.error(f"{len(names)} target names for {len(shapes)} morph targets")
-    names = names or [f"target{k}" for k in range(len(shapes))]
+def open_character(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> Character:
+    """The character in a file whose rig and nodes are known; raises as :func:`load_gltf_character` does."""
+    file.compressed.check()
+    pieces = read_pieces(file, nodes)
+    if not any(piece.has_targets for piece in pieces):
+        raise file.error("no mesh of its scene has morph targets; export it with its shape keys (blend shapes)")
+    pieces, notes = _near_the_face(_heads(file, nodes, pieces, unit))
+    turn = unit * np.array([-1.0, 1.0, -1.0] if looks_back(file) else [1.0, 1.0, 1.0])
+    starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
+    file.spend(3 * int(starts[-1]) * len(rig.expressions), zeros=True)
+    shapes = np.zeros((len(rig.expressions), starts[-1], 3))
+    neutral = np.concatenate([piece.vertices for piece in pieces])
+    for start, piece in zip(starts, pieces, strict=False):
+        part = slice(start, start + len(piece.vertices))
+        rest, driven = rest_weights(file, nodes, rig, piece.node), set(rig.driven_targets(piece.mesh))
+        users = _users(rig, piece.mesh)
+        for target, shape in piece.displacements(file):
+            if target not in driven and rest[target]:
+                neutral[part] += rest[target] * shape
+            for expression, weight in users.get(target, ()):
+                shapes[expression, part] += weight * shape
+    triangles = np.concatenate([s + p.triangles for s, p in zip(starts, pieces, strict=False)]).astype(np.int32)
     colours = None
-    if "COLOR_0" in primitive["attributes"]:
-        colours = _srgb(file.accessor(primitive["attributes"]["COLOR_0"], len(vertices))[:, :3])
-    placed = _METRES_TO_MM * (vertices @ transform[:3, :3].T + transform[:3, 3])
-    if not np.isfinite(placed).all() or np.abs(placed).max() > 1e7:
-        raise file.error("vertices that are absurdly far away")
-    triangles = file.triangles(primitive, len(vertices))
-    if np.linalg.det(transform[:3, :3]) < 0:  # a mirrored node turns triangles inside out
-        triangles = triangles[:, ::-1]
-    return _Piece(number, placed, triangles, shapes, names, colours)
+    if any(piece.colours is not None for piece in pieces):
+        colours = np.concatenate([_colours(piece) for piece in pieces])
+    neutral *= turn
+    shapes *= turn
+    notes += size_note(file.path, float(np.ptp(neutral[:, 1])))
+    return Character(file.path.stem, neutral, triangles, tuple(e.name for e in rig.expressions), shapes, colours,
+                     notes=(*rig.notes, *notes), mix=np.array([e.row for e in rig.expressions]))  # fmt: skip
 
 
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    linear = np.clip(linear.astype(float), 0, 1)
-    return np.rint(255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)).astype(
-        np.uint8
-    )
+def looks_back(file: GltfFile) -> bool:
+    """Whether the face looks along -z, as VRM 0.x demands."""
+    return "VRM" in extensions(file.document) and "VRMC_vrm" not in extensions(file.document)
 
 
-def _colours(piece: _Piece) -> np.ndarray:
-    return np.full(piece.vertices.shape, 200, np.uint8) if piece.colours is None else piece.colours
+def rest_weights(file: GltfFile, nodes: Nodes, rig: FaceRig, node: int) -> np.ndarray:
+    """(T,) weights of the morph targets of a node's mesh at rest: the node's, else the mesh's, else zero (3.7.2.2)."""
+    mesh = nodes.entries[node]["mesh"]
+    count = rig.counts.get(mesh, 0)
+    for place in (nodes.entries[node], file.item("meshes", mesh)):
+        if place.get("weights"):
+            weights = np.array(place["weights"], float)
+            if weights.shape != (count,) or not (np.abs(weights) < 1e6).all():
+                raise file.error(f"{weights.size} default weights for the {count} morph targets of mesh {mesh}")
+            return weights
+    return np.zeros(count)
 
 
-def _near_the_face(pieces: list[_Piece]) -> tuple[list[_Piece], list[str]]:
+def _users(rig: FaceRig, mesh: int) -> dict[int, list[tuple[int, float]]]:
+    """Morph target of a mesh -> the expressions that move it, and by how much."""
+    users: dict[int, list[tuple[int, float]]] = {}
+    for number, expression in enumerate(rig.expressions):
+        for (owner, target), weight in expression.binds.items():
+            if owner == mesh:
+                users.setdefault(target, []).append((number, weight))
+    return users
+
+
+def _heads(file: GltfFile, nodes: Nodes, pieces: list[Piece], unit: float) -> list[Piece]:
+    """Where the mesh of the face holds a body too: of it only what the head's bone carries."""
+    faces = np.concatenate([piece.vertices for piece in pieces if piece.has_targets])
+    head = find_bones(file, nodes).get("head")
+    if unit * np.ptp(faces[:, 1]) <= LARGEST_HEAD or head is None:
+        return pieces
+    below = nodes.below(head)
+    parts = []
+    for piece in pieces:
+        if piece.joints is not None and piece.has_targets:
+            carried = (piece.shares * np.isin(piece.joints, below)).sum(axis=1) > 0.5
+            piece = piece.only(carried)
+        if len(piece.triangles):
+            parts.append(piece)
+    return parts if any(piece.has_targets for piece in parts) else pieces
+
+
+def _near_the_face(pieces: list[Piece]) -> tuple[list[Piece], list[str]]:
     """Pieces with morph targets, and the others whose middle lies in their surroundings."""
-    face = np.concatenate([piece.vertices for piece in pieces if piece.shapes])
+    face = np.concatenate([piece.vertices for piece in pieces if piece.has_targets])
     low, high = face.min(axis=0), face.max(axis=0)
     margin = 0.25 * (high - low)
     kept = []
     for piece in pieces:
         middle = (piece.vertices.min(axis=0) + piece.vertices.max(axis=0)) / 2
-        if piece.shapes or ((middle > low - margin) & (middle < high + margin)).all():
+        if piece.has_targets or ((middle > low - margin) & (middle < high + margin)).all():
             kept.append(piece)
     left = len(pieces) - len(kept)
-    return kept, [f"{left} meshes without morph targets left out"] if left else []
+    return kept, [f"{left} meshes without morph targets left out of views of the head"] if left else []
 
 
-def _merged(file: GltfFile, pieces: list[_Piece]) -> list[tuple[str, np.ndarray]]:
-    """Shapes of all pieces under one name each, over all vertices; VRM's expressions take part under their names."""
-    starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
-    order: dict[str, np.ndarray] = {}
-
-    def add(name: str, piece: int, shape: np.ndarray, weight: float = 1.0) -> None:
-        """Add a piece's share to the shape of that name."""
-        if name not in order:
-            file.spend(3 * int(starts[-1]), zeros=True)
-            order[name] = np.zeros((starts[-1], 3))
-        order[name][starts[piece] : starts[piece + 1]] += weight * shape
-
-    for number, piece in enumerate(pieces):
-        for name, shape in zip(piece.names, piece.shapes, strict=True):
-            add(name, number, shape)
-    known = {canonical_name(name) for name in order}
-    for name, binds in _vrm_expressions(file):
-        if canonical_name(name) is None or canonical_name(name) in known:
-            continue
-        for mesh, index, weight in binds:
-            for number, piece in enumerate(pieces):
-                if piece.mesh == mesh and 0 <= index < len(piece.shapes):
-                    add(name, number, piece.shapes[index], weight)
-    return list(order.items())
-
-
-def _vrm_expressions(file: GltfFile) -> list[tuple[str, list[tuple[int, int, float]]]]:
-    """VRM 0.x and 1.0 expressions: name, binds of (mesh, target, weight)."""
-    extensions = file.document.get("extensions", {})
-    found = []
-    groups = extensions.get("VRM", {}).get("blendShapeMaster", {}).get("blendShapeGroups", [])
-    for group in groups[:1000]:
-        binds = [(b["mesh"], int(b["index"]), float(b["weight"]) / 100) for b in (group.get("binds") or [])]
-        found.append((str(group.get("name", "")), binds))
-    for entry in extensions.get("VRMC_vrm", {}).get("expressions", {}).values():
-        for name, expression in list(entry.items())[:1000]:
-            binds = [(file.item("nodes", b["node"]).get("mesh"), int(b["index"]), float(b["weight"]))
-                     for b in expression.get("morphTargetBinds", [])]  # fmt: skip
-            found.append((name, binds))
-    return [(name, [b for b in binds if np.isfinite(b[2]) and abs(b[2]) <= 10]) for name, binds in found]
+def _colours(piece: Piece) -> np.ndarray:
+    return np.full(piece.vertices.shape, 200, np.uint8) if piece.colours is None else piece.colours

@@ -91,6 +91,11 @@ def coverage(table: ArkitWeights, character: Character) -> list[str]:
     missing = [name for name in driven if name in character.missing]
     if missing:
         lines.append(f"{character.name} lacks: {', '.join(missing)}")
-    if character.unknown:
-        lines.append(f"{character.name} has shapes that nothing drives: {', '.join(character.unknown)}")
-    return lines + list(character.notes)
+    return lines + undriven(character) + list(character.notes)
+
+
+def undriven(character: Character) -> list[str]:
+    """One line with the shapes that nothing drives, the first dozen by name."""
+    names = character.unknown
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return [f"{character.name} has shapes that nothing drives: {', '.join(names[:12])}{more}"] if names else []

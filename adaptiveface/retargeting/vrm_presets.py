@@ -57,7 +57,9 @@ def _key(name: str) -> str:
     return "".join(c for c in name.lower() if c.isalnum())
 
 
-_BY_KEY = {_key(name): preset for names in ({p: p for p in PRESETS}, VRM0_NAMES, _VROID) for preset, name in names.items()}
+_BY_KEY = {
+    _key(name): preset for names in ({p: p for p in PRESETS}, VRM0_NAMES, _VROID) for preset, name in names.items()
+}
 
 
 def preset_name(name: str) -> str | None:

@@ -1,0 +1,178 @@
+"""What drives the face of a glTF or VRM file, told from its JSON alone: no mesh is opened.
+
+Morph targets with ARKit names are driven by the curve of that name. VRM's expressions take part under ARKit names ("perfect
+sync") and, for what no ARKit shape of the file shows, as VRM presets (:mod:`adaptiveface.retargeting.vrm_presets`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .arkit import ARKIT_NAMES, canonical_name
+from .gltf_container import GltfContainer, extensions, extras
+from .shape_names import driven_shapes
+from .vrm_presets import preset_name, preset_row
+
+MAX_TARGETS = 2000
+MAX_EXPRESSIONS = 1000
+
+
+@dataclass
+class Expression:
+    """Morph targets that move together. row (52,): weights of the ARKit curves, zero where nothing drives it.
+
+    binds: (mesh, morph target) -> weight of the target at full activation.
+    """
+
+    name: str
+    row: np.ndarray
+    binds: dict[tuple[int, int], float] = field(default_factory=dict)
+
+    @property
+    def driven(self) -> bool:
+        """Whether any curve drives it."""
+        return bool(self.row.any())
+
+
+@dataclass
+class FaceRig:
+    """The expressions of a file; ``notes``: what is left at rest and why, one line each."""
+
+    expressions: list[Expression]
+    counts: dict[int, int]
+    notes: list[str]
+
+    def activations(self, curves: np.ndarray) -> np.ndarray:
+        """(F, E) weights of the expressions for ARKit curves (F, 52)."""
+        return np.clip(np.asarray(curves, float) @ np.array([e.row for e in self.expressions]).T, 0.0, 1.0)
+
+    def driven_targets(self, mesh: int) -> list[int]:
+        """Morph targets of a mesh that a curve drives."""
+        return sorted({target for e in self.expressions if e.driven for m, target in e.binds if m == mesh})
+
+    def target_weights(self, mesh: int, activations: np.ndarray, rest: np.ndarray) -> np.ndarray:
+        """(F, T) weights of a mesh's morph targets; ``rest`` (T,) stays on those that nothing drives."""
+        mixture = np.zeros((len(self.expressions), self.counts[mesh]))
+        for row, expression in zip(mixture, self.expressions, strict=True):
+            for (number, target), weight in expression.binds.items() if expression.driven else ():
+                if number == mesh:
+                    row[target] += weight
+        out = activations @ mixture
+        still = np.setdiff1d(np.arange(self.counts[mesh]), self.driven_targets(mesh))
+        out[:, still] = rest[still]
+        return out
+
+
+def face_rig(file: GltfContainer) -> FaceRig:
+    """Read the rig; raises :class:`FileFormatError`: no morph targets, nothing that a curve could drive."""
+    names = {mesh: target_names(file, entry) for mesh, entry in enumerate(file.items("meshes"))}
+    counts = {mesh: len(listed) for mesh, listed in names.items() if listed}
+    if not counts:
+        raise file.error("no mesh has morph targets; export it with its shape keys (blend shapes)")
+    expressions: dict[str, Expression] = {}
+    notes: dict[str, None] = {}
+    for mesh in counts:
+        chosen, said = driven_shapes(names[mesh])
+        notes |= dict.fromkeys(said)
+        for target, name in enumerate(names[mesh]):
+            row = chosen.get(target)
+            key = f"driven {row.nonzero()[0].tolist()}" if row is not None else name
+            row = np.zeros(len(ARKIT_NAMES)) if row is None else row
+            expression = expressions.setdefault(key, Expression(name, row))
+            expression.binds[mesh, target] = 1.0
+            if expression.name != name:  # halves, or another spelling in another mesh
+                expression.name = canonical_name(name) or name
+    _add_vrm(file, expressions, notes, counts)
+    if not any(expression.driven for expression in expressions.values()):
+        some = ", ".join(list(dict.fromkeys(name for mesh in counts for name in names[mesh]))[:8])[:200]
+        raise file.error("no morph target has an ARKit name such as jawOpen, and no VRM preset such as aa is there "
+                         f"(targets: {some})")  # fmt: skip
+    return FaceRig(list(expressions.values()), counts, list(notes))
+
+
+def _add_vrm(file: GltfContainer, expressions: dict[str, Expression], notes: dict, counts: dict[int, int]) -> None:
+    """VRM's expressions: perfect sync by name, then presets for what no ARKit shape shows."""
+    found = vrm_expressions(file)
+    covered = sum((e.row for e in expressions.values()), np.zeros(len(ARKIT_NAMES)))
+    sync = [(name, binds) for name, _, binds in found if canonical_name(name) and _valid(binds, counts)]
+    chosen, _ = driven_shapes([name for name, _ in sync])
+    before = covered.copy()
+    for number, row in chosen.items():
+        if not before[row > 0].any():
+            name, binds = sync[number]
+            expressions[f"expression {name}"] = Expression(name, row, _valid(binds, counts))
+            covered += row
+    if not found and not covered.any():  # VRoid Studio's targets in a file without its VRM part
+        found = [(e.name, preset_name(e.name), e.binds) for e in expressions.values() if e.name.startswith("Fcl_")]
+    presets = {preset: (name, _valid(binds, counts)) for name, preset, binds in reversed(found) if preset}
+    presets = {preset: entry for preset, entry in presets.items() if entry[1]}
+    halves = {"blinkLeft", "blinkRight"} & presets.keys()
+    if "blink" in presets and halves:
+        left = ["blink"] if len(halves) == 2 else sorted(halves)
+        notes[f"not driven, because the eyes would close twice: {', '.join(presets.pop(p)[0] for p in left)}"] = None
+    used = []
+    for preset, (name, binds) in presets.items():
+        row = preset_row(preset)
+        if not covered[row > 0].any():
+            expressions[f"preset {preset}"] = Expression(name, row, binds)
+            used.append(name)
+    if used:
+        notes[f"driven as VRM presets: {', '.join(sorted(used))}"] = None
+
+
+def _valid(binds: dict[tuple[int, int], float], counts: dict[int, int]) -> dict[tuple[int, int], float]:
+    return {(mesh, target): weight for (mesh, target), weight in binds.items()
+            if 0 <= target < counts.get(mesh, 0) and np.isfinite(weight) and abs(weight) <= 10}  # fmt: skip
+
+
+def target_names(file: GltfContainer, mesh: dict) -> list[str]:
+    """Names of a mesh's morph targets from the places that exporters use; [] for a mesh without."""
+    primitives = mesh["primitives"]
+    if not all(isinstance(primitive["attributes"], dict) for primitive in primitives):
+        raise file.error("a primitive's attributes are no object")
+    count = max((len(p.get("targets") or ()) for p in primitives), default=0)
+    if count > MAX_TARGETS:
+        raise file.error(f"{count} morph targets; at most {MAX_TARGETS} are read")
+    places = [extras(place).get("targetNames") for place in (mesh, *primitives)]
+    listed = next((names for names in places if names), None)
+    if listed is None:  # each target's own extras, or the name of its accessor
+        targets = next((p["targets"] for p in primitives if p.get("targets")), [])
+        listed = [extras(target).get("name") or _accessor_name(file, target) for target in targets]
+        listed = [name if isinstance(name, str) else f"target{k}" for k, name in enumerate(listed)]
+    if not isinstance(listed, list) or not all(isinstance(name, str) and len(name) <= 256 for name in listed):
+        raise file.error("extras.targetNames is not a list of short names")
+    if count and len(listed) != count:
+        raise file.error(f"{len(listed)} target names for {count} morph targets")
+    return listed if count else []
+
+
+def _accessor_name(file: GltfContainer, target: dict):
+    return file.item("accessors", target["POSITION"]).get("name") if "POSITION" in target else None
+
+
+def vrm_expressions(file: GltfContainer) -> list[tuple[str, str | None, dict[tuple[int, int], float]]]:
+    """VRM 0.x and 1.0 expressions: name, VRM 1.0 preset or None, binds (mesh, target) -> weight."""
+    found = []
+    groups = _object(extensions(file.document), "VRM", "blendShapeMaster").get("blendShapeGroups") or []
+    for group in groups[:MAX_EXPRESSIONS]:
+        binds = {(b["mesh"], b["index"]): float(b["weight"]) / 100 for b in group.get("binds") or ()}
+        name, preset = str(group.get("name") or ""), str(group.get("presetName") or "")
+        known = preset_name(preset if preset.lower() not in ("", "unknown") else name)
+        found.append((name or preset, known, binds))
+    expressions = _object(extensions(file.document), "VRMC_vrm", "expressions")
+    for kind in ("preset", "custom"):
+        for name, expression in list(_object(expressions, kind).items())[:MAX_EXPRESSIONS]:
+            binds = {}
+            for bind in expression.get("morphTargetBinds") or ():
+                binds[file.item("nodes", bind["node"]).get("mesh"), bind["index"]] = float(bind["weight"])
+            found.append((name, preset_name(name) if kind == "preset" else None, binds))
+    return found
+
+
+def _object(value: dict, *keys: str) -> dict:
+    """The object at the end of a path of keys, {} where there is none."""
+    for key in keys:
+        value = value.get(key) if isinstance(value, dict) else None
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,73 @@
+"""The bones that a performance turns: head, neck and eyes, by VRM's humanoid or by the names that rigs give them."""
+
+from __future__ import annotations
+
+import re
+
+from .gltf_container import GltfContainer, extensions
+from .gltf_nodes import Nodes
+
+#: Words in bone names that say which rig they come from, not which bone they are.
+_RIG = {"mixamorig", "j", "bip", "adj", "c", "cc", "base", "def", "org", "valvebiped", "armature", "bone", "jnt", "joint",
+        "jt", "b", "m", "mid", "center", "x", "bind", "skin", "rig", "character", "avatar", "sk", "bn"}  # fmt: skip
+_SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
+_JOINED = {"lefteye": "left eye", "righteye": "right eye", "eyeleft": "left eye", "eyeright": "right eye",
+           "leye": "left eye", "reye": "right eye"}  # fmt: skip
+_EYES = ({"eye"}, {"eyeball"}, {"face", "eye"})
+_VRM = {"head": "head", "neck": "neck", "leftEye": "left eye", "rightEye": "right eye"}
+
+
+def find_bones(file: GltfContainer, nodes: Nodes) -> dict[str, int]:
+    """Node numbers by "head", "neck", "left eye", "right eye"; what is not found is missing.
+
+    The neck and the eyes count only where they hang together with the head.
+    """
+    bones = _humanoid(file, nodes) or _named(nodes, _joints(file, nodes))
+    if "head" not in bones:
+        return {}
+    above, below = nodes.ancestors(bones["head"]), nodes.below(bones["head"])
+    return {name: n for name, n in bones.items() if n in (above if name == "neck" else below)}
+
+
+def _humanoid(file: GltfContainer, nodes: Nodes) -> dict[str, int]:
+    found: dict[str, int] = {}
+    one = (extensions(file.document).get("VRMC_vrm") or {}).get("humanoid") or {}
+    zero = (extensions(file.document).get("VRM") or {}).get("humanoid") or {}
+    listed = [(name, entry["node"]) for name, entry in (one.get("humanBones") or {}).items()]
+    listed += [(entry["bone"], entry["node"]) for entry in zero.get("humanBones") or ()]
+    for name, node in listed:
+        if name in _VRM:
+            file.item("nodes", node)
+            found[_VRM[name]] = node
+    return {name: node for name, node in found.items() if node in nodes.world}
+
+
+def _joints(file: GltfContainer, nodes: Nodes) -> list[int]:
+    skins = {nodes.entries[n]["skin"] for n in nodes.shown if "mesh" in nodes.entries[n] and "skin" in nodes.entries[n]}
+    joints = {joint for skin in sorted(skins) for joint in nodes.joints(skin)}
+    return [n for n in nodes.shown if n in joints]  # parents first
+
+
+def _named(nodes: Nodes, joints: list[int]) -> dict[str, int]:
+    found: dict[str, int] = {}
+    words = {number: _words(nodes.name(number)) for number in joints}
+    for number in joints:
+        if words[number] == {"head"}:
+            found.setdefault("head", number)
+    if "head" not in found:
+        return {}
+    necks = [number for number in nodes.ancestors(found["head"]) if words.get(number) in ({"neck"}, {"neck", "twist"})]
+    if necks:
+        found["neck"] = necks[-1]  # of several the lowest, where a neck bends
+    for number in nodes.below(found["head"]):
+        for side in ("left", "right"):
+            if words.get(number, set()) - {side} in _EYES and side in words[number]:
+                found.setdefault(f"{side} eye", number)
+    return found
+
+
+def _words(name: str) -> set[str]:
+    """The words of a bone's name, sides spelt out, without those of its rig: "J_Bip_C_Head" -> {"head"}."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|[^A-Za-z]+", " ", name.rsplit(":", 1)[-1][:256]).lower()
+    words = " ".join(_JOINED.get(word, word) for word in spaced.split()).split()
+    return {_SIDES.get(word, word) for word in words if word not in _RIG}

@@ -1,0 +1,120 @@
+"""The nodes of a glTF file: which of them the default scene shows, where they are at rest, and its skins."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .gltf_container import GltfContainer
+
+#: Joints of a skin at most; real ones have a few hundred.
+MAX_JOINTS = 10_000
+
+
+class Nodes:
+    """The node tree. Raises :class:`FileFormatError`: a node with two parents, in a circle, with a strange transform.
+
+    parent: node -> its parent; local, world: node -> (4, 4) at rest; shown: nodes of the default scene, parents first.
+    """
+
+    def __init__(self, file: GltfContainer) -> None:
+        self._file = file
+        self.entries = file.items("nodes")
+        self.children = [self._numbers_of(node, "children", len(self.entries)) for node in self.entries]
+        self.parent: dict[int, int] = {}
+        for number, below in enumerate(self.children):
+            for child in below:
+                if child in self.parent:
+                    raise file.error(f"node {child} has two parents")
+                self.parent[child] = number
+        self.local = [self._local(node) for node in self.entries]
+        self.world: dict[int, np.ndarray] = {}
+        roots = [number for number in range(len(self.entries)) if number not in self.parent]
+        for number in self._below(roots):
+            above = self.world[self.parent[number]] if number in self.parent else np.eye(4)
+            self.world[number] = above @ self.local[number]
+        if len(self.world) < len(self.entries):
+            lost = next(number for number in range(len(self.entries)) if number not in self.world)
+            raise file.error(f"node {lost} lies in a circle of nodes")
+        self.shown = self._below(self._scene(roots))
+
+    def _scene(self, roots: list[int]) -> list[int]:
+        """Roots of the default scene: the file's, else its first, else all nodes."""
+        scenes = self._file.items("scenes")
+        if not scenes and "scene" not in self._file.document:
+            return roots
+        scene = self._file.item("scenes", self._file.document.get("scene", 0))
+        return self._numbers_of(scene, "nodes", len(self.entries))
+
+    def _below(self, roots: list[int]) -> list[int]:
+        """The nodes and all below them, parents first, each once."""
+        stack, out = list(roots), {}
+        while stack:
+            number = stack.pop()
+            if number not in out:
+                out[number] = None
+                stack += self.children[number]
+        return list(out)
+
+    def below(self, number: int) -> list[int]:
+        """The node and all nodes below it."""
+        return self._below([number])
+
+    def ancestors(self, number: int) -> list[int]:
+        """Parents of a node, the nearest first."""
+        out = []
+        while number in self.parent:
+            number = self.parent[number]
+            out.append(number)
+        return out
+
+    def name(self, number: int) -> str:
+        """The name of a node, "" where it has none."""
+        name = self.entries[number].get("name")
+        return name if isinstance(name, str) else ""
+
+    def _numbers_of(self, entry: dict, key: str, count: int) -> list[int]:
+        numbers = entry.get(key, [])
+        if not isinstance(numbers, list) or any(type(c) is not int or not 0 <= c < count for c in numbers):
+            raise self._file.error(f"'{key}' of a node or scene point outside the {count} nodes")
+        return numbers
+
+    def joints(self, skin: int) -> list[int]:
+        """Node numbers of a skin's joints."""
+        joints = self._numbers_of(self._file.item("skins", skin), "joints", len(self.entries))
+        if not 0 < len(joints) <= MAX_JOINTS:
+            raise self._file.error(f"a skin of {len(joints)} joints")
+        return joints
+
+    def _local(self, node: dict) -> np.ndarray:
+        if "matrix" in node:
+            return self._numbers(node["matrix"], 16).reshape(4, 4).T
+        out = np.eye(4)
+        out[:3, :3] = quaternion_matrix(self.rotation(node)) * self._numbers(node.get("scale", [1, 1, 1]), 3)
+        out[:3, 3] = self._numbers(node.get("translation", [0, 0, 0]), 3)
+        return out
+
+    def rotation(self, node: dict) -> np.ndarray:
+        """(4,) the node's quaternion x y z w, of any length but zero."""
+        rotation = self._numbers(node.get("rotation", [0, 0, 0, 1]), 4)
+        if rotation @ rotation < 1e-12:
+            raise self._file.error("a node's rotation is zero")
+        return rotation
+
+    def _numbers(self, values, count: int) -> np.ndarray:
+        if not isinstance(values, list) or len(values) != count or any(type(v) not in (int, float) for v in values):
+            raise self._file.error(f"a node's transform is not made of {count} numbers")
+        out = np.array(values, float)
+        if not (np.abs(out) < 1e9).all():
+            raise self._file.error("a node's transform is not finite")
+        return out
+
+
+def quaternion_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation of a quaternion x y z w of any length."""
+    x, y, z, w = quaternion
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    return np.array([
+        [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+        [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+        [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+    ])  # fmt: skip

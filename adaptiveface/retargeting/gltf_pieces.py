@@ -1,0 +1,141 @@
+"""Where the vertices of a glTF file's meshes are at rest: nodes, skins, what the head alone covers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .gltf_file import FAN, TRIANGLES, GltfFile
+from .gltf_nodes import Nodes
+
+MAX_PRIMITIVES = 2000
+#: Sets of four joints that may hold a vertex.
+MAX_JOINT_SETS = 8
+
+
+@dataclass
+class Piece:
+    """One primitive of triangles that the default scene shows: V vertices.
+
+    node, mesh: where it comes from; vertices (V, 3) and linear ((3, 3) or (V, 3, 3)), which turns displacements as the
+    vertices were turned, both in the file's unit; triangles (T, 3); colours (V, 3) uint8 sRGB or None; joints, shares (V, K):
+    the nodes that hold a vertex, and by how much, None without a skin; kept (V,): numbers of the vertices in the file.
+    """
+
+    node: int
+    mesh: int
+    primitive: dict
+    vertices: np.ndarray
+    linear: np.ndarray
+    triangles: np.ndarray
+    colours: np.ndarray | None
+    joints: np.ndarray | None
+    shares: np.ndarray | None
+    kept: np.ndarray
+    count: int
+
+    @property
+    def has_targets(self) -> bool:
+        """Whether it has morph targets."""
+        return bool(self.primitive.get("targets"))
+
+    def displacements(self, file: GltfFile) -> Iterator[tuple[int, np.ndarray]]:
+        """Number and (V, 3) displacement of every morph target that moves anything."""
+        for number, target in enumerate(self.primitive.get("targets") or ()):
+            if "POSITION" in target:
+                shape = file.accessor(target["POSITION"], self.count)
+                if shape.shape[1] != 3:
+                    raise file.error("a morph target does not hold three coordinates")
+                yield number, _turned(self.linear, shape[self.kept].astype(float))
+
+    def only(self, chosen: np.ndarray) -> Piece:
+        """The piece without the vertices that are not ``chosen`` (V,), and without the triangles that touch them."""
+        place = np.cumsum(chosen) - 1
+        triangles = place[self.triangles[chosen[self.triangles].all(axis=1)]].astype(np.int32)
+        part = {name: None if (rows := getattr(self, name)) is None or rows.ndim < 2 else rows[chosen]
+                for name in ("vertices", "colours", "joints", "shares")}  # fmt: skip
+        linear = self.linear if self.linear.ndim == 2 else self.linear[chosen]
+        return Piece(self.node, self.mesh, self.primitive, linear=linear, triangles=triangles, kept=self.kept[chosen],
+                     count=self.count, **part)  # fmt: skip
+
+
+def read_pieces(file: GltfFile, nodes: Nodes) -> list[Piece]:
+    """All pieces of the default scene; raises :class:`FileFormatError` where there is none."""
+    pieces: list[Piece] = []
+    for number in nodes.shown:
+        node = nodes.entries[number]
+        if "mesh" not in node:
+            continue
+        for primitive in file.item("meshes", node["mesh"])["primitives"]:
+            if not TRIANGLES <= primitive.get("mode", TRIANGLES) <= FAN:
+                continue
+            if len(pieces) >= MAX_PRIMITIVES:
+                raise file.error(f"more than {MAX_PRIMITIVES} primitives")
+            pieces.append(_piece(file, nodes, number, primitive))
+    if not pieces:
+        raise file.error("no node of its scene shows a mesh of triangles")
+    return pieces
+
+
+def _piece(file: GltfFile, nodes: Nodes, number: int, primitive: dict) -> Piece:
+    node, decoded = nodes.entries[number], file.compressed.draco(primitive)
+    attributes, corners = decoded if decoded else ({}, None)
+
+    def attribute(name: str, count: int | None = None) -> np.ndarray:
+        found = attributes.get(name)
+        return file.accessor(primitive["attributes"][name], count) if found is None else found
+
+    points = attribute("POSITION").astype(float)
+    if points.shape[1] != 3:
+        raise file.error("POSITION does not hold three coordinates")
+    count = len(points)
+    triangles = file.triangles(primitive, count, corners)
+    transform, joints, shares = nodes.world[number], None, None
+    if "skin" in node and "JOINTS_0" in primitive["attributes"]:
+        sets = [k for k in range(MAX_JOINT_SETS) if f"JOINTS_{k}" in primitive["attributes"]]
+        slots = np.column_stack([attribute(f"JOINTS_{k}", count) for k in sets])
+        shares = np.column_stack([attribute(f"WEIGHTS_{k}", count) for k in sets]).astype(float)
+        joints, transform = _skinned(file, nodes, node["skin"], slots, shares)
+    vertices = _turned(transform[..., :3, :3], points) + transform[..., :3, 3]
+    if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e7:
+        raise file.error("vertices that are absurdly far away")
+    linear = transform[..., :3, :3]
+    if np.median(np.linalg.det(linear)) < 0:  # a mirrored node turns triangles inside out
+        triangles = triangles[:, ::-1]
+    colours = _srgb(attribute("COLOR_0", count)[:, :3]) if "COLOR_0" in primitive["attributes"] else None
+    return Piece(
+        number, node["mesh"], primitive, vertices, linear, triangles, colours, joints, shares, np.arange(count), count
+    )
+
+
+def _skinned(file: GltfFile, nodes: Nodes, skin, slots: np.ndarray, shares: np.ndarray):
+    """Nodes (V, K) that hold each vertex, and its transform (V, 4, 4): joint world times inverse bind (3.7.3.3)."""
+    listed, entry = nodes.joints(skin), file.item("skins", skin)
+    if slots.dtype.kind != "u" or slots.shape != shares.shape or slots.max() >= len(listed):
+        raise file.error(f"JOINTS_0 points outside the {len(listed)} joints of its skin")
+    inverse = np.tile(np.eye(4), (len(listed), 1, 1))
+    if "inverseBindMatrices" in entry:
+        matrices = file.accessor(entry["inverseBindMatrices"])
+        if matrices.shape[1] != 16 or len(matrices) < len(listed):
+            raise file.error(f"{len(matrices)} inverse bind matrices for {len(listed)} joints")
+        inverse = matrices[: len(listed)].astype(float).reshape(-1, 4, 4).transpose(0, 2, 1)
+    placed = np.stack([nodes.world[joint] for joint in listed]) @ inverse
+    total = shares.sum(axis=1, keepdims=True)
+    shares /= np.where(np.abs(total) > 1e-6, total, 1.0)  # in place: what the caller keeps adds up to one
+    file.spend(16 * len(slots))
+    transform = np.zeros((len(slots), 4, 4))
+    for slot, share in zip(slots.T, shares.T, strict=True):
+        transform += share[:, None, None] * placed[slot]
+    return np.array(listed)[slots], transform
+
+
+def _turned(linear: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return vectors @ linear.T if linear.ndim == 2 else np.einsum("vij,vj->vi", linear, vectors)
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    linear = np.clip(linear.astype(float), 0, 1)
+    curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.rint(255 * curved).astype(np.uint8)

@@ -1,0 +1,74 @@
+"""Which of a face's shapes stand for which ARKit shape, so that no movement is driven twice.
+
+A shape may be there as a whole and as two halves (``browInnerUp`` beside ``browInnerUpLeft`` and
+``browInnerUpRight``), or twice under two spellings. One of them is driven: the whole where ARKit has a whole, the halves
+where it has halves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .arkit import ARKIT_NAMES, canonical_name
+
+_SIDES = ("left", "right", "l", "r")
+
+
+def arkit_row(name: str) -> np.ndarray | None:
+    """(52,) weights of ARKit's shapes in a shape of that name, None for names that mean nothing to ARKit.
+
+    A whole that ARKit splits (``eyeBlink``, ``mouthSmile``) is driven by the mean of its halves.
+    """
+    row = np.zeros(len(ARKIT_NAMES))
+    canonical = canonical_name(name)
+    if canonical is not None:
+        row[ARKIT_NAMES.index(canonical)] = 1.0
+        return row
+    halves = [canonical_name(f"{name}{side}") for side in ("Left", "Right")]
+    if None in halves or halves[0] == halves[1] or halves[0] in ("jawLeft", "mouthLeft"):  # directions, not halves
+        return None
+    for half in halves:
+        row[ARKIT_NAMES.index(half)] = 0.5
+    return row
+
+
+def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str]]:
+    """Number in ``names`` -> its row (52,) for the shapes of one mesh that are driven, and notes about the others."""
+    rows = {number: arkit_row(name) for number, name in enumerate(names)}
+    chosen: dict[int, np.ndarray] = {}
+    notes = []
+    for column, arkit in enumerate(ARKIT_NAMES):
+        here = [n for n, row in rows.items() if row is not None and row[column] == 1.0]
+        wholes = [n for n in here if not _half(names[n], arkit)]
+        kept = wholes[:1] or _one_of_each_side(here, names, arkit)
+        chosen |= {n: rows[n] for n in kept}
+        left = [names[n] for n in here if n not in kept]
+        if left:
+            notes.append(f"{' + '.join(names[n] for n in kept)} shows {arkit}; not driven as well: {', '.join(left)}")
+        elif len(kept) > 1:
+            notes.append(f"{' + '.join(names[n] for n in kept)} make {arkit}")
+    covered = sum(chosen.values(), np.zeros(len(ARKIT_NAMES)))
+    for number, row in rows.items():
+        if row is None or row.max() == 1.0:
+            continue
+        if covered[row > 0].any():  # a half is there, or the same whole in another spelling
+            notes.append(f"not driven, because its halves are: {names[number]}")
+        else:
+            chosen[number] = row
+            covered = covered + row
+    return chosen, notes
+
+
+def _half(name: str, arkit: str) -> str:
+    """Which side ("l", "r") of a shape that ARKit does not split the name stands for; "" where it is the whole."""
+    keys = ["".join(c for c in part.lower() if c.isalnum()) for part in (name, name.rsplit(".", 1)[-1])]
+    return next((side[0] for side in _SIDES if arkit.lower() + side in keys), "")
+
+
+def _one_of_each_side(numbers: list[int], names: Sequence[str], arkit: str) -> list[int]:
+    first: dict[str, int] = {}
+    for number in numbers:
+        first.setdefault(_half(names[number], arkit), number)
+    return list(first.values())
