@@ -26,15 +26,16 @@ class Nodes:
                 if child in self.parent:
                     raise file.error(f"node {child} has two parents")
                 self.parent[child] = number
+        roots = [number for number in range(len(self.entries)) if number not in self.parent]
+        order = self._below(roots)
+        if len(order) < len(self.entries):
+            lost = min(set(range(len(self.entries))) - set(order))
+            raise file.error(f"node {lost} lies in a circle of nodes")
         self.local = [self._local(node) for node in self.entries]
         self.world: dict[int, np.ndarray] = {}
-        roots = [number for number in range(len(self.entries)) if number not in self.parent]
-        for number in self._below(roots):
+        for number in order:
             above = self.world[self.parent[number]] if number in self.parent else np.eye(4)
             self.world[number] = above @ self.local[number]
-        if len(self.world) < len(self.entries):
-            lost = next(number for number in range(len(self.entries)) if number not in self.world)
-            raise file.error(f"node {lost} lies in a circle of nodes")
         self.shown = self._below(self._scene(roots))
 
     def _scene(self, roots: list[int]) -> list[int]:
