@@ -6,7 +6,6 @@ counted, they never reach the tracker.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -21,7 +20,7 @@ from .blas import one_blas_thread
 from .errors import FrameError, TrackingError
 from .face_model import FaceModel
 from .frame import RgbdFrame
-from .landmarks import FeatureDetector
+from .landmarks import FeatureDetector, Upright
 from .neutral.capture import capture_actor
 from .neutral.colour import capture_colour_actor
 from .parameters import Parameters
@@ -51,12 +50,14 @@ class FrameReader:
     """Reads the frames of a source with their 2D features, and keeps count of the broken ones.
 
     A context manager. ``detector`` is made on first need when None, and closed at the end. ``skipped``: index -> reason of
-    every frame that could not be used.
+    every frame that could not be used. ``quarters``: by how much frames without features are turned anticlockwise, so that
+    the detector sees them upright.
     """
 
     def __init__(self, source: FrameSource, detector: FeatureDetector | None = None) -> None:
         self.source, self.detector = source, detector
         self._own_detector: FeatureDetector | None = None
+        self._upright: Upright | None = None
         self.skipped: dict[int, str] = {}
 
     def __enter__(self) -> FrameReader:
@@ -79,7 +80,14 @@ class FrameReader:
             raise TrackingError(f"{self.source.name}: neither colour images nor features.csv, so no face can be found")
         if self.detector is None:
             self.detector = self._own_detector = FeatureDetector()
-        return dataclasses.replace(frame, features=self.detector.detect(frame))
+        if self._upright is None:
+            self._upright = Upright(self.detector, self.source.name)
+        return self._upright.detect(frame)
+
+    @property
+    def quarters(self) -> int:
+        """Quarters of a turn anticlockwise, 0 where the features come with the frames."""
+        return 0 if self._upright is None else self._upright.quarters
 
     def timestamp(self, index: int) -> float:
         """Seconds at which frame ``index`` was due, for one that cannot be read."""
@@ -173,9 +181,11 @@ def track_source(
                 if on_frame is not None:
                     on_frame(tracked, frame)
     except KeyboardInterrupt:
+        builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
         raise TrackingInterrupted(builder.finish(tracker.model.correctives)) from None
     if len(reader.skipped) == len(source):
         raise reader.fail("no frame can be used")
+    builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
     result = builder.finish(tracker.model.correctives)
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")

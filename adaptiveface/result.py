@@ -43,6 +43,8 @@ _FIELDS = {
     "parameters": Field((), "U"),
     "correctives": Field(("K", "N", 3), optional=True),
     "colour_only": Field((), "b", optional=True),
+    "mirrored": Field((), "b", optional=True),
+    "turned": Field((), "iu", optional=True),
 }
 
 #: Meshes of every frame, which stay on the disk in long takes.
@@ -70,6 +72,8 @@ class Result:
     coefficients of the last tracked one (before the first one: of the first one; without any: the neutral, unmoved),
     has sample state UNTRACKED, and 0 for its distances. correctives (K, N, 3) or None: the corrective shapes as learned
     at the end, orthonormal, zero outside the frontal region. colour_only: tracked without depth, a degraded mode.
+    mirrored, turned: the source's frames were flipped, and then turned by so many quarters anticlockwise, before they were
+    tracked; :func:`~adaptiveface.sensors.orientation.as_tracked` does the same with a source.
     """
 
     vertices: np.ndarray
@@ -98,6 +102,8 @@ class Result:
     v3: np.ndarray | None = None
     correctives: np.ndarray | None = None
     colour_only: bool = False
+    mirrored: bool = False
+    turned: int = 0
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -185,6 +191,7 @@ class ResultBuilder:
             "parameters": np.array(parameters.to_json()), "colour_only": np.array(colour_only),
             "neutral": actor.neutral.astype(np.float32), "stages": np.array(bool(keep_stages)),
         }  # fmt: skip
+        self.mirrored, self.turned = False, 0
         self._type = _row_type(self._head)
         self._rows = MemoryRows(self._type, n_frames) if folder is None else FileRows(self._type, folder, self._head)
 
@@ -233,7 +240,8 @@ class ResultBuilder:
         ``correctives`` (3n, K): the corrective shapes over the n frontal vertices, as the tracker keeps them.
         """
         self._rows.close()
-        return _of_rows(self._rows.all(), self._head, None if correctives is None else self._on_whole_mesh(correctives))
+        head = self._head | {"mirrored": np.array(self.mirrored), "turned": np.array(self.turned)}
+        return _of_rows(self._rows.all(), head, None if correctives is None else self._on_whole_mesh(correctives))
 
     def _on_whole_mesh(self, correctives: np.ndarray) -> np.ndarray:
         shapes = np.zeros((correctives.shape[1], len(self.actor.neutral), 3), np.float32)
@@ -279,5 +287,6 @@ def _as_attributes(data: dict) -> dict:
     for name in ("expression_names", "stage_names", "reasons"):
         data[name] = tuple(str(text) for text in data[name])
     data["parameters"] = str(data["parameters"])
-    data["colour_only"] = bool(data.get("colour_only", False))
+    data["colour_only"], data["mirrored"] = (bool(data.get(name, False)) for name in ("colour_only", "mirrored"))
+    data["turned"] = int(data.get("turned", 0)) % 4
     return data

@@ -12,6 +12,7 @@ import sys
 from .. import __version__
 from ..errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError
 from . import offline, sensors, studies, tools
+from .notes import Notes
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 #: In the order of the help; each adds itself.
@@ -26,7 +27,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run a command of ``argv`` (default: the process's arguments) and return the exit status."""
     args = _parser().parse_args(argv)
     try:
-        return args.run(args)
+        with Notes():
+            return args.run(args)
     except AdaptiveFaceError as error:
         return _fail(str(error))
     except ImportError as error:

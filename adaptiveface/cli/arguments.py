@@ -13,6 +13,20 @@ def add_source(command: argparse.ArgumentParser) -> None:
     """``SOURCE``, numbered frames."""
     text = "a recording folder, a video (colour only), or synthetic[:SEED[:NOISE]]"
     command.add_argument("source", metavar="SOURCE", help=text)
+    add_mirrored(command)
+
+
+def add_mirrored(command: argparse.ArgumentParser) -> None:
+    """``--mirrored``, which :func:`source_name` reads."""
+    command.add_argument("--mirrored", action="store_true", help="flip pictures recorded as in a mirror (selfie videos)")
+
+
+def source_name(args: argparse.Namespace) -> str:
+    """The source or sensor, by the name under which it is opened."""
+    from ..sensors.orientation import MIRRORED
+
+    name = args.source if hasattr(args, "source") else args.sensor
+    return name + MIRRORED if args.mirrored and MIRRORED not in name else name
 
 
 def opened(text: str):

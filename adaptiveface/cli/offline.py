@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..export.arguments import add_export_arguments
 from ..retargeting import BUILT_IN
-from .arguments import add_settings, add_source, check_output, opened, parameters, whole
+from .arguments import add_settings, add_source, check_output, opened, parameters, source_name, whole
 
 
 def add_demo(commands) -> None:
@@ -74,7 +74,7 @@ def run_capture(args: argparse.Namespace) -> int:
     check_output(args.out)
     from ..pipeline import capture_from
 
-    actor = capture_from(opened(args.source), chosen, args.neutral_frames, progress=True)
+    actor = capture_from(opened(source_name(args)), chosen, args.neutral_frames, progress=True)
     actor.save(args.out)
     print(f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, "
           f"{len(actor.scan_points)} scan points")  # fmt: skip
@@ -103,7 +103,7 @@ def run_track(args: argparse.Namespace) -> int:
     from ..rows import discard, unfinished_folder
 
     actor = Actor.load(args.actor) if args.actor else None
-    source = opened(args.source)
+    source = opened(source_name(args))
     if actor is None:
         actor = capture_from(source, chosen, args.neutral_frames, progress=True)
     try:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..export.arguments import add_stream_arguments
-from .arguments import add_settings, add_source, opened, parameters, whole
+from .arguments import add_mirrored, add_settings, add_source, opened, parameters, source_name, whole
 
 
 def add_record(commands) -> None:
@@ -52,7 +52,7 @@ def add_stream(commands) -> None:
 
 def run_stream(args: argparse.Namespace) -> int:
     """``stream SOURCE``: track, and send every frame."""
-    chosen = parameters(args.set)
+    chosen, args.source = parameters(args.set), source_name(args)
     from ..sensors.catalogue import is_live
 
     if is_live(args.source):
@@ -68,6 +68,7 @@ def add_live(commands) -> None:
     """``live``."""
     live = commands.add_parser("live", help="a sensor, the neutral scan, and the tracked face: in the notebook or here")
     live.add_argument("sensor", nargs="?", metavar="SENSOR", help="synthetic, realsense, ... or a recording")
+    add_mirrored(live)
     live.add_argument("--headless", action="store_true", help="in the terminal; without SENSOR: which ones there are")
     live.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help="of the notebooks")
     live.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured first, by a guided scan")
@@ -85,4 +86,6 @@ def run_live(args: argparse.Namespace) -> int:
     """``live [SENSOR]``."""
     from ..live.command import run_live as run
 
+    if args.sensor is not None:
+        args.sensor = source_name(args)
     return run(args, parameters(args.set))

@@ -56,8 +56,9 @@ def run_export(args: argparse.Namespace) -> int:
         return 0
     if args.format in ("mp4", "gif"):
         from ..sensors import open_source
+        from ..sensors.orientation import as_tracked
 
-        source = open_source(args.source) if args.source else None
+        source = as_tracked(open_source(args.source), result) if args.source else None
         if source is not None and len(source) != len(result):
             raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
         meshes = [] if args.character == "actor" else [animated(result, actor, options)]

@@ -2,5 +2,6 @@
 
 from .detector import FeatureDetector
 from .model_file import face_landmarker_file
+from .upright import Upright
 
-__all__ = ["FeatureDetector", "face_landmarker_file"]
+__all__ = ["FeatureDetector", "Upright", "face_landmarker_file"]

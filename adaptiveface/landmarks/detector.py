@@ -129,14 +129,26 @@ class FeatureDetector:
         if frame.colour is None:
             return None
         meshes = self._detect_stream(frame) if self._video else self.detect_meshes(frame.colour)
-        if not meshes:
-            u, v, right, bottom = foreground_box(frame.depth)
-            if 0 < (right - u) * (bottom - v) < 0.6 * frame.depth.size:
-                meshes = [mesh + [u, v, 0] for mesh in self.detect_meshes(frame.colour[v:bottom, u:right])]
-        mesh = self._kept.choose(meshes, frame)
-        if mesh is None:
+        return self._features(self._kept.choose(meshes or self._in_foreground(frame), frame))
+
+    def look(self, frame: RgbdFrame) -> Features2D | None:
+        """As :meth:`detect`, for one picture by itself: it neither knows nor remembers any other."""
+        if frame.colour is None:
             return None
-        return Features2D(feature_pixels(mesh), confidence(mesh, self._triangles))
+        return self._features(KeptFace().choose(self.detect_meshes(frame.colour) or self._in_foreground(frame), frame))
+
+    def forget(self) -> None:
+        """Forget the face that was kept: the next picture is free to show another."""
+        self._kept = KeptFace()
+
+    def _in_foreground(self, frame: RgbdFrame) -> list[np.ndarray]:
+        u, v, right, bottom = foreground_box(frame.depth)
+        if not 0 < (right - u) * (bottom - v) < 0.6 * frame.depth.size:
+            return []
+        return [mesh + [u, v, 0] for mesh in self.detect_meshes(frame.colour[v:bottom, u:right])]
+
+    def _features(self, mesh: np.ndarray | None) -> Features2D | None:
+        return None if mesh is None else Features2D(feature_pixels(mesh), confidence(mesh, self._triangles))
 
     def detect_meshes(self, colour: np.ndarray) -> list[np.ndarray]:
         """(478, 3) landmarks of every face in ``colour`` (H, W, 3) uint8 RGB: pixels, and depth on their scale.

@@ -16,6 +16,7 @@ from ..parameters import Parameters
 from ..result import ResultBuilder
 from ..sensors.catalogue import list_sensors, open_sensor
 from ..sensors.live import LiveSensor
+from ..sensors.orientation import MIRRORED, split_mirrored
 from .guided import STEPS
 from .recorder import LiveRecorder
 from .run import BUILDING, SCANNING, STARTING, LiveRun
@@ -57,8 +58,9 @@ def _open_notebook(args: argparse.Namespace) -> int:
         Actor.load(args.actor)  # a wrong file ends here, not in the browser
         os.environ[ACTOR_VARIABLE] = str(args.actor.resolve())
     if args.sensor is not None:
-        path = Path(args.sensor)
-        os.environ[SENSOR_VARIABLE] = str(path.resolve()) if path.exists() else args.sensor
+        name, flipped = split_mirrored(args.sensor)
+        name = str(Path(name).resolve()) if Path(name).exists() else name
+        os.environ[SENSOR_VARIABLE] = name + MIRRORED if flipped else name
     return open_lab(args.dir, notebook=NOTEBOOK)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 import time
 from collections import deque
@@ -16,8 +15,7 @@ from ..errors import (
     SensorError,
     SensorTimeoutError,
 )
-from ..frame import Features2D
-from ..landmarks import FeatureDetector
+from ..landmarks import FeatureDetector, Upright
 from ..sensors.live import LiveFrame, LiveSensor
 
 #: Longest wait for the sensor, s: closing has to stay responsive.
@@ -42,6 +40,7 @@ class FeatureFeed:
         self.sensor, self.dropped, self.running = sensor, 0, True
         self._detector, self._always = detector, always or detector is not None
         self._own_detector: FeatureDetector | None = None
+        self._upright: Upright | None = None
         self._changed = threading.Condition()
         self._frame: LiveFrame | None = None
         self._trouble: SensorError | None = None  # what the sensor reports since its last frame
@@ -133,18 +132,24 @@ class FeatureFeed:
                 raise
             self._lost(error)
             return
-        self._publish(dataclasses.replace(frame, features=self._features(frame)))
+        self._publish(self._with_features(frame))
 
-    def _features(self, frame: LiveFrame) -> Features2D | None:
+    def _with_features(self, frame: LiveFrame) -> LiveFrame:
+        """``frame`` with features; turned upright where the detector finds the face turned in the picture."""
         given = frame.features is not None or self.sensor.has_features
         if frame.colour is None or (given and not self._always):
-            return frame.features
-        if self._detector is None:
-            self._detector = self._own_detector = FeatureDetector(video=True)
+            return frame
+        if self._upright is None:
+            self._detector = self._detector or self._load()
+            self._upright = Upright(self._detector, self.sensor.name)
         start = time.perf_counter()
-        features = self._detector.detect(frame)
+        found = self._upright.detect(frame)
         self._detect_ms.append((time.perf_counter() - start) * 1e3)
-        return features
+        return found
+
+    def _load(self) -> FeatureDetector:
+        self._own_detector = FeatureDetector(video=True)
+        return self._own_detector
 
     def _publish(self, frame: LiveFrame) -> None:
         with self._changed:

@@ -61,4 +61,6 @@ class LiveRecorder:
             raise self.error
         refused = self._recorder.refused if self._recorder else 0
         lost = self.sensor.lost_by_device - self._lost
-        return RecordingSummary(self.folder, self.frames, lost, refused, time.perf_counter() - self._start)
+        moving = self._recorder is not None and self._recorder.writer.moving_lens
+        took, broken = time.perf_counter() - self._start, tuple(self.sensor.broken)
+        return RecordingSummary(self.folder, self.frames, lost, refused, took, broken, moving)

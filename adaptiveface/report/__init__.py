@@ -12,6 +12,7 @@ import numpy as np
 
 from ..evaluation import ErrorCollector, Evaluation, GroundTruth
 from ..retargeting.character import load_character
+from ..sensors.orientation import as_tracked
 from . import page, retargeting, scenes, sections
 from .context import Context, time_spans
 from .record import RunRecord
@@ -43,6 +44,7 @@ def write_report(
     if evaluation is None and truth is not None and record.tracked.any():
         evaluation, step = score(record, truth, actor)
         note = f"Scored here: every {_ordinal(step)} frame." if step > 1 else ""
+    source = as_tracked(source, result)
     context = Context(record, source, actor, truth, evaluation, time_spans(record, evaluation))
     name = str(getattr(source, "name", "a performance"))
     body = [

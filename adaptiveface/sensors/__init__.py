@@ -17,8 +17,9 @@ from ..frame import RgbdFrame
 from ..livelink.take import is_take
 from ..synthetic.noise import DEPTH_SCALES
 from .catalogue import SensorInfo, list_sensors, open_sensor
-from .file_player import PLAYERS
+from .file_player import plays
 from .live import LiveFrame, LiveSensor
+from .orientation import OrientedSource, split_mirrored
 from .recording import Recording, RecordingWriter
 from .video_file import VideoFile, is_video
 
@@ -26,7 +27,8 @@ NOISES = tuple(DEPTH_SCALES)
 
 _POSSIBLE = (
     "possible sources: a recording folder (with intrinsic.json, depth/, color/), a Record3D file (.r3d), "
-    f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)}), a video (.mp4, .mov, .avi, .webm: colour only)"
+    f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)}), "
+    "a video (.mp4, .mov, .avi, .webm, .mkv: colour only); with ',mirrored' at the end pictures are flipped"
 )
 
 
@@ -54,8 +56,14 @@ class FrameSource(Protocol):
 def open_source(text: str) -> FrameSource:
     """The source named by ``text``: a recording folder, an .r3d file, a video, ``synthetic[:SEED[:NOISE]]``.
 
-    Raises :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
+    ``,mirrored`` at the end of any of them flips its frames: recordings as in a mirror, as selfie videos are. Raises
+    :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
     """
+    text, flipped = split_mirrored(text)
+    return OrientedSource(_open(text), mirrored=True) if flipped else _open(text)
+
+
+def _open(text: str) -> FrameSource:
     if Path(text).is_dir():
         return Recording(text)
     if text == "synthetic" or text.startswith("synthetic:"):
@@ -64,7 +72,7 @@ def open_source(text: str) -> FrameSource:
         from .record3d import R3dRecording
 
         return R3dRecording(text)
-    if text.lower().endswith(tuple(PLAYERS)) and Path(text).is_file():
+    if plays(Path(text)):
         folder = Path(text).with_suffix("")
         convert = shlex.join(["adaptiveface", "convert", text, "--out", str(folder)])
         raise FileFormatError(f"{text}: plays from start to end only; first: {convert}; then use {folder}")

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import FileFormatError
-from .recording import read_intrinsics
+from .intrinsics import read_intrinsics
 
 #: Horizontal field of view of a camera that brings no calibration, degrees: laptops have 55 to 70.
 FIELD_OF_VIEW = 60.0

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import DriverMissingError, ParameterError, SensorError
-from .file_player import PLAYERS, FilePlayer
+from .file_player import FilePlayer, plays
 from .live import LiveSensor
+from .orientation import split_mirrored
 from .playback import EXPRESSION_FRAMES, NEUTRAL_FRAMES, PlaybackDriver, SyntheticDriver
 
 
@@ -119,8 +120,9 @@ POSSIBLE = (
     "possible sensors: 'synthetic[:SEED[:NOISE]]', 'realsense[:SERIAL]', 'record3d[:UDID]', "
     "'openni2[:URI or INDEX]', 'kinect1[:INDEX]', 'azure[:INDEX]', 'orbbec[:SERIAL]', 'oak[:ID]', "
     "'kinect2', "
-    "'webcam[:INDEX|http://...][,fov=DEGREES][,mirrored]' (colour only), "
-    "or the path of a recording (folder, .r3d, .db3, .bag, .oni, .mkv; colour only: .mp4, .mov, .avi, .webm)"
+    "'webcam[:INDEX|http://...][,fov=DEGREES]' (colour only), "
+    "or the path of a recording (folder, .r3d, .db3, .bag, .oni, Azure's .mkv; colour only: .mp4, .mov, .avi, .webm, .mkv); "
+    "with ',mirrored' at the end pictures are flipped"
 )
 
 
@@ -197,6 +199,7 @@ def _connected(
 
 def is_live(text: str) -> bool:
     """Whether ``text`` names a sensor that has no numbered frames: a real one, not a recording or ``synthetic``."""
+    text, _ = split_mirrored(text)
     kind = text.partition(":")[0]
     return kind in _KINDS and kind != "synthetic" and not Path(text).exists()
 
@@ -204,19 +207,21 @@ def is_live(text: str) -> bool:
 def open_sensor(text: str) -> LiveSensor:
     """Open the sensor or recording named by ``text``; a recording plays every frame, as fast as it is read.
 
-    Raises :class:`SensorError` (not found, driver not installed, ...), :class:`ParameterError` or
-    :class:`FileFormatError`.
+    ``,mirrored`` at the end of any of them flips its frames. Raises :class:`SensorError` (not found, driver not
+    installed, ...), :class:`ParameterError` or :class:`FileFormatError`.
     """
+    text, flipped = split_mirrored(text)
     kind, _, argument = text.partition(":")
-    if kind in _KINDS:
-        return _KINDS[kind](argument)
-    if Path(text).exists():
-        return _open_path(Path(text))
-    raise SensorError(f"{text}: no such sensor or recording; {POSSIBLE}")
+    if kind not in _KINDS and not Path(text).exists():
+        raise SensorError(f"{text}: no such sensor or recording; {POSSIBLE}")
+    sensor = _KINDS[kind](argument) if kind in _KINDS else _open_path(Path(text))
+    if flipped:
+        sensor.mirror()
+    return sensor
 
 
 def _open_path(path: Path) -> LiveSensor:
-    if path.suffix.lower() in PLAYERS and path.is_file():
+    if plays(path):
         return _play_apart(path)
     from . import open_source
 

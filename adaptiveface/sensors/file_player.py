@@ -25,6 +25,7 @@ from ..camera import Camera
 from ..errors import AdaptiveFaceError, SensorError
 from .driver import Driver, RawFrame
 from .live import POLL_SECONDS
+from .matroska import is_plain_video
 
 #: By suffix: the module and the class of the driver whose ``path`` is such a file (it knows its ``camera`` once it is open),
 #: and the library that reads it.
@@ -44,6 +45,12 @@ _MESSAGES = {
     "error": {"error", "text"},
 }  # fmt: skip
 _ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind, type)}
+
+
+def plays(path: Path) -> bool:
+    """Whether ``path`` is a file that one of the ``PLAYERS`` reads; an .mkv unless it is a plain video."""
+    suffix = path.suffix.lower()
+    return suffix in PLAYERS and path.is_file() and not (suffix == ".mkv" and is_plain_video(path))
 
 
 class FilePlayer:

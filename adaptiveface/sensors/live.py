@@ -20,6 +20,7 @@ from ..errors import (
     SensorTimeoutError,
 )
 from .driver import Driver, LiveFrame, RawFrame, live_frame, usable
+from .orientation import mirrored
 
 #: Longest a driver may wait for a frame, s: closing has to stay responsive.
 POLL_SECONDS = 0.1
@@ -56,6 +57,8 @@ class LiveSensor:
         self.colour_only = getattr(self._driver, "colour_only", False)  #: there is no depth: a degraded mode
         self.dropped, self.discarded = 0, 0  #: never handed out; unusable, repeated or out of order
         self.superseded = 0  #: of the dropped ones: replaced by a newer frame or too old before anybody read them
+        self.broken: tuple[str, ...] | list[str] = getattr(self._driver, "broken", ())  #: a recording's: reason of each
+        self.mirrored = False  #: every frame is flipped left to right
         self._listeners: tuple[Callable[[LiveFrame], None], ...] = ()
         self._changed = threading.Condition()
         self._unread: deque[LiveFrame] = deque()
@@ -111,6 +114,12 @@ class LiveSensor:
         """Keep up to ``frames`` unread frames, however old: for recording, where each one counts and none is late."""
         with self._changed:
             self._capacity, self.max_age = frames, math.inf
+
+    def mirror(self) -> None:
+        """Flip every frame, also those that are not read yet."""
+        with self._changed:
+            self._unread = deque(mirrored(frame) for frame in self._unread)
+            self.mirrored = True
 
     @property
     def lost_by_device(self) -> int:
@@ -210,10 +219,13 @@ class LiveSensor:
             return
         lost = max(-behind - 1, 0) if behind is not None and behind < 0 else 0
         self._last = raw.sequence
-        frame = live_frame(raw)
+        flipped = self.mirrored
+        frame = mirrored(live_frame(raw)) if flipped else live_frame(raw)
         if self.live:
             self._tell(frame)
         with self._changed:
+            if self.mirrored and not flipped:
+                frame = mirrored(frame)
             if not self.live:
                 self._changed.wait_for(lambda: len(self._unread) < self._capacity or self._closed)
             while len(self._unread) >= self._capacity:

@@ -21,7 +21,10 @@ def raw_frame(frame: RgbdFrame, sequence: int, timestamp: float) -> RawFrame:
 
 
 class PlaybackDriver:
-    """Plays a source with numbered frames as fast as it is read; broken frames count as lost by the device."""
+    """Plays a source with numbered frames as fast as it is read; broken frames count as lost by the device.
+
+    ``broken``: the reason of each.
+    """
 
     live = False
 
@@ -30,6 +33,7 @@ class PlaybackDriver:
         self.fps, self.depth_scale = getattr(source, "fps", 30.0), getattr(source, "depth_scale", 10_000.0)
         self.has_features = getattr(source, "has_features", False)
         self.colour_only = getattr(source, "colour_only", False)
+        self.broken: list[str] = []
 
     def open(self) -> None:
         """Start at the first frame."""
@@ -42,7 +46,8 @@ class PlaybackDriver:
         index, self._next = self._next, self._next + 1
         try:
             frame = self.source.read(index)
-        except FrameError:
+        except FrameError as error:
+            self.broken.append(str(error))
             return None
         return raw_frame(frame, index, frame.timestamp)
 

@@ -25,21 +25,36 @@ WRITERS, BACKLOG = 2, 90
 CHECKPOINT_SECONDS = 1.0
 #: A sensor that is silent for so long ends the recording, s.
 PATIENCE_SECONDS = 5.0
+#: Broken frames whose reasons are printed.
+REASONS = 5
 
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """``frames`` written to ``path``; ``dropped`` by the sensor or on the way; ``refused``: the disk was too slow."""
+    """``frames`` written to ``path``; ``dropped`` by the sensor or on the way; ``refused``: the disk was too slow.
+
+    ``broken``: why frames of a recording could not be read; ``moving_lens``: intrinsics.csv keeps a camera per frame.
+    """
 
     path: Path
     frames: int
     dropped: int
     refused: int
     seconds: float
+    broken: tuple[str, ...] = ()
+    moving_lens: bool = False
 
     def __str__(self) -> str:
         text = f"{self.path}: {self.frames} frames in {self.seconds:.1f} s, {self.dropped} dropped by the sensor"
-        return text + (f", {self.refused} lost because the disk is too slow" if self.refused else "")
+        text += f", {self.refused} lost because the disk is too slow" if self.refused else ""
+        lines = [text]
+        if self.moving_lens:
+            lines.append("  the camera differs from frame to frame: intrinsics.csv keeps that of each frame")
+        if self.broken:
+            lines.append(f"  {len(self.broken)} of the {self.frames + len(self.broken)} frames are broken and left out:")
+            lines += [f"    {reason}" for reason in self.broken[:REASONS]]
+            lines += [f"    ... and {len(self.broken) - REASONS} more"] if len(self.broken) > REASONS else []
+        return "\n".join(lines)
 
 
 class FrameRecorder:
@@ -153,8 +168,10 @@ def record_sensor(
             recorder.close()
         if not sensor.live:
             ctrl_c.check()  # half a conversion is none
+    writer, took = recorder.writer, time.perf_counter() - start
     lost = sensor.dropped - first.dropped
-    return RecordingSummary(recorder.writer.path, recorder.frames, lost, recorder.refused, time.perf_counter() - start)
+    broken, moving = tuple(sensor.broken), writer.moving_lens
+    return RecordingSummary(writer.path, recorder.frames, lost, recorder.refused, took, broken, moving)
 
 
 def run_record(args) -> int:

@@ -26,6 +26,7 @@ from ..camera import Camera
 from ..errors import FileFormatError, FrameError
 from ..frame import RgbdFrame
 from ..timing import FrameTimes, frame_times
+from .intrinsics import camera_of, focal_and_centre, rate_of
 from .lzfse_stream import decompress, lzfse_module
 from .recording import DEPTH_RANGE_MM
 
@@ -62,7 +63,7 @@ class R3dRecording:
         self._picture = picture = tuple(self._side(metadata, key) for key in ("w", "h"))
         if not 0.98 < self._size[0] * picture[1] / (self._size[1] * picture[0]) < 1.02:
             raise FileFormatError(f"{self.path}: depth {self._size} and picture {picture} differ in shape")
-        k = self._numbers(metadata, "K", 9)
+        k = focal_and_centre(self.path, "K", metadata.get("K"))
         entries = self._zip.namelist()
         if len(entries) > _MAX_ENTRIES:
             raise FileFormatError(f"{self.path}: {len(entries)} entries are too many for a recording")
@@ -71,16 +72,12 @@ class R3dRecording:
         if not numbers:
             raise FileFormatError(f"{self.path}: no depth images (rgbd/0.depth, rgbd/1.depth, ...)")
         self._frame_numbers, self._entries = numbers, frozenset(entries)
-        fps = metadata.get("fps", 30)
-        self.fps = float(fps) if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000 else 30.0
+        self.fps = rate_of(self.path, metadata.get("fps"))
         coefficients = metadata.get("perFrameIntrinsicCoeffs")
         self._per_frame = coefficients if isinstance(coefficients, list) else []
         times = self._times(metadata.get("frameTimestamps"))
         self.timestamps, self.notes = times.seconds, times.notes
-        try:
-            self.camera = self._camera((k[0], k[4], k[6], k[7]))
-        except FileFormatError as error:
-            raise FileFormatError(f"{self.path}: {error}") from None
+        self.camera = self._camera(self.path, k)
 
     def __len__(self) -> int:
         return len(self._frame_numbers)
@@ -161,12 +158,6 @@ class R3dRecording:
             raise FileFormatError(f"{self.path}: {key} = {_short(value)} is not an image size (8 to {limit})")
         return value
 
-    def _numbers(self, metadata: dict, key: str, count: int) -> list[float]:
-        values = metadata.get(key)
-        if not (isinstance(values, list) and len(values) == count and all(map(_is_number, values))):
-            raise FileFormatError(f"{self.path}: {key} = {_short(values)} is not a list of {count} numbers")
-        return [float(value) for value in values]
-
     def _times(self, given) -> FrameTimes:
         """Of the frames that are there: the file's times where it has one for every frame, else the frame rate's."""
         numbers = np.array(self._frame_numbers)
@@ -180,20 +171,19 @@ class R3dRecording:
             values = self._per_frame[number]
             if isinstance(values, list) and len(values) == 4 and all(map(_is_number, values)):
                 try:
-                    return self._camera(values)
+                    return self._camera(f"{self.path}: frame {number}", values)
                 except FileFormatError as error:
-                    raise FrameError(f"{self.path}: frame {number}: {error}") from None
+                    raise FrameError(str(error)) from None
         return self.camera
 
-    def _camera(self, values) -> Camera:
-        return scaled_camera(values, self._picture, self._size)
+    def _camera(self, where: Path | str, values) -> Camera:
+        return scaled_camera(camera_of(where, self._picture, tuple(map(float, values))), self._size)
 
 
-def scaled_camera(values, picture: tuple[int, int], depth: tuple[int, int]) -> Camera:
-    """Calibration fx, fy, cx, cy of a picture (w, h) -> that of the depth. Pixel edges scale: they start at -0.5."""
-    fx, fy, cx, cy = values
-    sx, sy = depth[0] / picture[0], depth[1] / picture[1]
-    return Camera(*depth, fx * sx, fy * sy, (cx + 0.5) * sx - 0.5, (cy + 0.5) * sy - 0.5)
+def scaled_camera(picture: Camera, depth: tuple[int, int]) -> Camera:
+    """The camera of a picture -> that of the depth (width, height) px. Pixel edges scale: they start at -0.5."""
+    sx, sy = depth[0] / picture.width, depth[1] / picture.height
+    return Camera(*depth, picture.fx * sx, picture.fy * sy, (picture.cx + 0.5) * sx - 0.5, (picture.cy + 0.5) * sy - 0.5)
 
 
 def _short(value) -> str:

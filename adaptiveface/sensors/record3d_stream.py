@@ -13,6 +13,7 @@ import time
 import numpy as np
 from PIL import Image
 
+from ..camera import Camera
 from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
 from .live import RawFrame
 from .record3d import scaled_camera
@@ -109,7 +110,7 @@ class Record3DDriver:
 def aligned_frame(depth: np.ndarray, picture: np.ndarray, intrinsics, number: int) -> RawFrame:
     """``depth`` (h, w) mm and the ``picture`` (H, W, 3) of the same view with its ``intrinsics`` fx, fy, cx, cy."""
     (height, width), (rows, columns) = depth.shape, picture.shape[:2]
-    camera = scaled_camera(intrinsics, (columns, rows), (width, height))
+    camera = scaled_camera(Camera(columns, rows, *intrinsics), (width, height))
     if (rows, columns) != (height, width):
         picture = np.array(Image.fromarray(picture).resize((width, height), Image.BILINEAR))
     return RawFrame(depth, camera, picture, number, time.perf_counter())

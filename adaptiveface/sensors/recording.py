@@ -5,6 +5,7 @@
     depth/00000.png          16-bit, 0 = no measurement
     timestamps.csv           optional: frame,timestamp (s)
     features.csv             optional: frame,feature,u,v,confidence (iBUG-68 number; pixels of the depth image)
+    intrinsics.csv           optional: frame,fx,fy,cx,cy (px): frames whose camera is not the one of intrinsic.json
 
 Numbers in file names and tables are those of the frames; the lowest one present is index 0. A number without files
 inside the range is a missing frame. What is wrong with the recording as a whole raises :class:`FileFormatError` on
@@ -13,8 +14,6 @@ opening, what is wrong with one frame raises :class:`FrameError` on reading it.
 
 from __future__ import annotations
 
-import json
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,20 +24,26 @@ from ..camera import Camera
 from ..errors import FileFormatError, FrameError
 from ..frame import RgbdFrame
 from .images import read_colour, read_depth, write_image
-from .tables import read_features, read_timestamps, write_features, write_timestamps
+from .intrinsics import check_rate_and_scale, intrinsics_json, read_intrinsics
+from .tables import (
+    read_features,
+    read_frame_cameras,
+    read_timestamps,
+    write_features,
+    write_frame_cameras,
+    write_timestamps,
+)
 
-#: Units per metre that a 16-bit depth image of a face can have: centimetre steps up to a range of 0.65 m.
-DEPTH_SCALE_RANGE = (100.0, 100_000.0)
 #: A frame without any measurement in this range (mm) shows no face: the sensor failed, or depth_scale is wrong.
 DEPTH_RANGE_MM = (100.0, 10_000.0)
-_MAX_JSON_BYTES = 1 << 20
 
 
 class Recording:
     """A recorded performance on disk, read frame by frame.
 
-    ``camera`` :class:`Camera`; ``fps``; ``depth_scale`` units per metre; ``name`` of the folder; ``has_features``: the
-    recording holds 2D features; ``timestamps`` (len,) s; ``notes``: what of them was converted or repaired. ``len()``,
+    ``camera`` :class:`Camera`, which a frame replaces by its own where intrinsics.csv has one; ``fps``; ``depth_scale``
+    units per metre; ``name`` of the folder; ``has_features``: the recording holds 2D features; ``timestamps`` (len,) s;
+    ``notes``: what of them was converted or repaired. ``len()``,
     ``read(index)`` and iteration (which passes over the broken frames).
     Raises :class:`FileFormatError` naming the file and the value when the recording cannot be used at all.
     """
@@ -62,6 +67,7 @@ class Recording:
         times = read_timestamps(self.path / "timestamps.csv", frames, self.fps)
         self.timestamps, self.notes = times.seconds, times.notes
         self._features = read_features(self.path / "features.csv", frames)
+        self._cameras = read_frame_cameras(self.path / "intrinsics.csv", frames, self.camera)
 
     @property
     def has_features(self) -> bool:
@@ -89,7 +95,7 @@ class Recording:
             raise FrameError(f"{depth_file}: {reason if depth.any() else 'no measurement, every pixel is zero'}")
         return RgbdFrame(
             depth=depth,
-            camera=self.camera,
+            camera=self._cameras.get(number, self.camera),
             colour=self._read_colour(number),
             index=index,
             timestamp=float(self.timestamps[index]),
@@ -128,25 +134,19 @@ class RecordingWriter:
     ) -> None:
         self.path, self.camera = Path(folder), camera
         self.fps, self.depth_scale, self.colour_format = float(fps), float(depth_scale), colour_format
-        _check_rate_and_scale(self.path / "intrinsic.json", self.fps, self.depth_scale)
+        check_rate_and_scale(self.path / "intrinsic.json", self.fps, self.depth_scale)
         if (self.path / "intrinsic.json").exists():
             raise FileFormatError(f"{self.path}: already holds a recording; name another folder")
         for name in ("color", "depth"):
             (self.path / name).mkdir(parents=True, exist_ok=True)
         self._timestamps: list[float] = []
         self._features: dict[int, object] = {}
+        self._cameras: dict[int, Camera] = {}
         self._write_intrinsics()
 
     def _write_intrinsics(self) -> None:
-        content = {
-            "width": self.camera.width,
-            "height": self.camera.height,
-            "fps": self.fps,
-            "depth_scale": self.depth_scale,
-            "intrinsic_matrix": self.camera.matrix.T.ravel().tolist(),
-        }
         temporary = self.path / "intrinsic.json.part"
-        temporary.write_text(json.dumps(content, indent=1) + "\n")
+        temporary.write_text(intrinsics_json(self.camera, self.fps, self.depth_scale))
         os.replace(temporary, self.path / "intrinsic.json")
 
     def write(self, frame: RgbdFrame) -> int:
@@ -164,7 +164,14 @@ class RecordingWriter:
         self._timestamps.append(float(frame.timestamp))
         if frame.features is not None:
             self._features[number] = frame.features
+        if frame.camera != self.camera:
+            self._cameras[number] = frame.camera
         return number
+
+    @property
+    def moving_lens(self) -> bool:
+        """Whether a frame's camera was another one than the first's, so that intrinsics.csv holds it."""
+        return bool(self._cameras)
 
     def write_images(self, number: int, frame: RgbdFrame) -> None:
         """Write the images of a reserved ``frame``; several threads may do so at a time."""
@@ -175,84 +182,18 @@ class RecordingWriter:
             write_image(self.path / "color" / f"{number:05d}.{self.colour_format}", frame.colour)
 
     def close(self) -> None:
-        """Write timestamps.csv and, where any frame had features, features.csv."""
+        """Write timestamps.csv and, where any frame had features or another camera, features.csv and intrinsics.csv."""
         write_timestamps(self.path / "timestamps.csv", self._timestamps)
         if self._features:
             write_features(self.path / "features.csv", self._features)
+        if self._cameras:
+            write_frame_cameras(self.path / "intrinsics.csv", self._cameras)
 
     def __enter__(self) -> RecordingWriter:
         return self
 
     def __exit__(self, *_) -> None:
         self.close()
-
-
-def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camera, float, float]:
-    """``intrinsic.json`` -> camera, frames per second, depth units per metre (``depth_scale`` where it names none).
-
-    Raises :class:`FileFormatError` naming the file and the value.
-    """
-    content = _read_json(path)
-    defaults = {"fps": 30.0} | ({} if depth_scale is None else {"depth_scale": depth_scale})
-    values = {}
-    for name in ("width", "height", "fps", "depth_scale"):
-        if name not in content and name in defaults:
-            content[name] = defaults[name]
-        values[name] = _number(path, name, content.get(name))
-    if values["width"] != int(values["width"]) or values["height"] != int(values["height"]):
-        raise FileFormatError(f"{path}: the image size {values['width']} x {values['height']} is not whole")
-    matrix = content.get("intrinsic_matrix")
-    if not isinstance(matrix, list) or len(matrix) != 9:
-        raise FileFormatError(f"{path}: intrinsic_matrix is not a list of 9 numbers (column-major)")
-    fx, b, c, skew, fy, d, cx, cy, one = (_number(path, "intrinsic_matrix", value) for value in matrix)
-    if any((b, c, skew, d)) or one != 1:
-        hint = "; it looks row-major" if cx == 0 and cy == 0 and c and d else ""
-        expected = "[fx, 0, 0, 0, fy, 0, cx, cy, 1] (column-major)"
-        raise FileFormatError(f"{path}: intrinsic_matrix {matrix} is not {expected}{hint}")
-    _check_rate_and_scale(path, values["fps"], values["depth_scale"])
-    try:
-        camera = Camera(int(values["width"]), int(values["height"]), fx, fy, cx, cy)
-    except FileFormatError as error:
-        raise FileFormatError(f"{path}: {error}") from None
-    size = max(camera.width, camera.height)
-    if not (size / 20 < fx < size * 20 and size / 20 < fy < size * 20 and abs(cx) < 4 * size and abs(cy) < 4 * size):
-        raise FileFormatError(f"{path}: fx, fy, cx, cy = {fx}, {fy}, {cx}, {cy} do not fit images of {size} pixels")
-    return camera, values["fps"], values["depth_scale"]
-
-
-def _read_json(path: Path) -> dict:
-    if not path.is_file():
-        raise FileFormatError(f"{path}: no such file; a recording needs its camera's calibration")
-    if path.stat().st_size > _MAX_JSON_BYTES:
-        raise FileFormatError(f"{path}: {path.stat().st_size} bytes are too many for a calibration")
-    try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, RecursionError, OSError) as error:
-        raise FileFormatError(f"{path}: not readable as JSON ({error})") from None
-    if not isinstance(content, dict):
-        raise FileFormatError(f"{path}: not a JSON object")
-    return content
-
-
-def _number(path: Path, name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
-        raise FileFormatError(f"{path}: {name} = {str(value)[:60]} is not a finite number")
-    return float(value)
-
-
-def _finite(value: int | float) -> bool:
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # an integer too large for a float
-        return False
-
-
-def _check_rate_and_scale(path: Path, fps: float, depth_scale: float) -> None:
-    low, high = DEPTH_SCALE_RANGE
-    if not low <= depth_scale <= high:
-        raise FileFormatError(f"{path}: depth_scale = {depth_scale:g} is not between {low:g} and {high:g} per metre")
-    if not 0.1 <= fps <= 1000:
-        raise FileFormatError(f"{path}: fps = {fps:g} is not between 0.1 and 1000")
 
 
 def _numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:

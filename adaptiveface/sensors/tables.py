@@ -1,4 +1,5 @@
-"""The two tables of a recording: timestamps.csv (frame,timestamp) and features.csv (frame,feature,u,v,confidence)."""
+"""The tables of a recording: timestamps.csv (frame,timestamp), features.csv (frame,feature,u,v,confidence) and
+intrinsics.csv (frame,fx,fy,cx,cy)."""
 
 from __future__ import annotations
 
@@ -10,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ..camera import Camera
 from ..errors import FileFormatError
 from ..frame import FEATURE_IDS, Features2D
 from ..timing import FrameTimes, frame_times
+from .intrinsics import camera_of
 
 _MAX_BYTES = 512 << 20
 _SLOT = {int(feature): slot for slot, feature in enumerate(FEATURE_IDS)}
@@ -53,6 +56,29 @@ def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
             features.pixels[_SLOT[identifier]] = pixel
             features.confidence[_SLOT[identifier]] = trust
     return found
+
+
+def read_frame_cameras(path: Path, frames: range, camera: Camera) -> dict[int, Camera]:
+    """Frame number -> camera of every frame that intrinsics.csv lists; empty without the file.
+
+    ``camera``: the recording's, which gives the size of the images. Raises :class:`FileFormatError` with the line.
+    """
+    if not path.exists():
+        return {}
+    cameras = {}
+    for line, (frame, *cells) in _rows(path, ("frame", "fx", "fy", "cx", "cy")):
+        number = _int(path, line, "frame", frame)
+        values = (_float(path, line, name, cell) for name, cell in zip(("fx", "fy", "cx", "cy"), cells, strict=True))
+        known = camera_of(f"{path}: line {line}", (camera.width, camera.height), tuple(values))
+        if number in frames:
+            cameras[number] = known
+    return cameras
+
+
+def write_frame_cameras(path: Path, cameras: Mapping[int, Camera]) -> None:
+    """One row per frame."""
+    rows = ((frame, *(f"{value:.9g}" for value in (c.fx, c.fy, c.cx, c.cy))) for frame, c in cameras.items())
+    _write(path, ("frame", "fx", "fy", "cx", "cy"), rows)
 
 
 def write_timestamps(path: Path, timestamps: Sequence[float]) -> None:

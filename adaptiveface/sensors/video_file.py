@@ -11,15 +11,18 @@ import numpy as np
 from ..errors import FileFormatError, FrameError
 from ..frame import RgbdFrame
 from .capture_device import FIELD_OF_VIEW, as_rgb, calibration_for, quiet
+from .matroska import is_plain_video
 
-#: Suffixes taken for plain videos. Not .mkv: depth cameras record into it, and depth must never be lost silently.
-VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".webm")
+#: Suffixes taken for plain videos; .mkv unless Azure Kinect's recorder wrote it, whose depth must not be lost silently.
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".webm", ".mkv")
 
 
 def is_video(path: str | os.PathLike) -> bool:
-    """Whether ``path`` is a file with a suffix of plain videos."""
+    """Whether ``path`` is a file with a suffix of plain videos, and not a depth camera's recording."""
     path = Path(path)
-    return path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()
+    if path.suffix.lower() not in VIDEO_SUFFIXES or not path.is_file():
+        return False
+    return path.suffix.lower() != ".mkv" or is_plain_video(path)
 
 
 class VideoFile:

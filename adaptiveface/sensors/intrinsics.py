@@ -1,0 +1,152 @@
+"""Calibrations as files state them: intrinsic.json, and matrices of nine numbers. Every reader of a file checks here."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from pathlib import Path
+
+from ..camera import Camera
+from ..errors import FileFormatError
+from ..files import read_bytes
+
+#: Units per metre that a 16-bit depth image of a face can have: centimetre steps up to a range of 0.65 m.
+DEPTH_SCALE_RANGE = (100.0, 100_000.0)
+#: What depth images usually have, for messages.
+USUAL_DEPTH_SCALES = "1000 (millimetres: Kinect, RealSense, Azure, Open3D), 5000 (TUM), 8000 or 10000 (fine steps)"
+#: Frames a second where a recording states none.
+USUAL_FPS = 30.0
+_MAX_JSON_BYTES = 1 << 20
+_EXPECTED = "a list of 9 numbers: the camera's intrinsics, column-major, [fx, 0, 0, 0, fy, 0, cx, cy, 1]"
+_log = logging.getLogger(__name__)
+
+
+def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camera, float, float]:
+    """``intrinsic.json`` -> camera, frames per second, depth units per metre.
+
+    Parameters
+    ----------
+    path : Path
+        The file. Without an ``fps`` 30 is assumed, and said.
+    depth_scale : float, optional
+        What to take where the file names no ``depth_scale``. By default a file without one is refused, because nothing
+        else tells the unit of its depth images.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be used; the message names it, the value and what is usual.
+    """
+    content = _read_json(path)
+    if content.get("depth_scale") is None:
+        if depth_scale is None:
+            state = "depth_scale = None" if "depth_scale" in content else "depth_scale is missing"
+            raise FileFormatError(f"{path}: {state}; it says how many units of the depth images are a metre, usually "
+                                  f"{USUAL_DEPTH_SCALES}")  # fmt: skip
+        content["depth_scale"] = depth_scale
+    if content.get("fps") is None:  # a video, which has a depth_scale given, brings its own
+        content["fps"] = rate_of(path, None) if depth_scale is None else USUAL_FPS
+    width, height, fps, units = (_number(path, name, content.get(name)) for name in ("width", "height", "fps", "depth_scale"))
+    if width != int(width) or height != int(height):
+        raise FileFormatError(f"{path}: the image size {width} x {height} is not whole")
+    matrix = content.get("intrinsic_matrix")
+    check_rate_and_scale(path, fps, units)
+    return camera_of(path, (int(width), int(height)), focal_and_centre(path, "intrinsic_matrix", matrix)), fps, units
+
+
+def focal_and_centre(path: Path, name: str, matrix: object) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy px of a file's ``matrix`` of 9 numbers, column-major: [fx, 0, 0, 0, fy, 0, cx, cy, 1].
+
+    Raises :class:`FileFormatError` for anything else, with a hint where it is row-major.
+    """
+    if not isinstance(matrix, list) or len(matrix) != 9:
+        raise FileFormatError(f"{path}: {name} = {_short(matrix)} is not {_EXPECTED}")
+    fx, b, c, skew, fy, d, cx, cy, one = (_number(path, name, value) for value in matrix)
+    if any((b, c, skew, d)) or one != 1:
+        row_major = not (cx or cy or b or skew) and c and d
+        hint = f"; it looks row-major, write [{fx:g}, 0, 0, 0, {fy:g}, 0, {c:g}, {d:g}, 1]" if row_major else ""
+        raise FileFormatError(f"{path}: {name} {matrix} is not {_EXPECTED}{hint}")
+    return fx, fy, cx, cy
+
+
+def rate_of(path: Path, fps: object) -> float:
+    """Frames a second as a file states them, or the usual ones where it states none, which is said."""
+    if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000:
+        return float(fps)
+    state = "fps is missing" if fps is None else f"fps = {_short(fps)} is not between 0.1 and 1000"
+    _log.warning("%s: %s; %g is taken (usual are 30, 60 and 15)", path, state, USUAL_FPS)
+    return USUAL_FPS
+
+
+def camera_of(where: Path | str, size: tuple[int, int], values: tuple[float, float, float, float]) -> Camera:
+    """The camera of ``size`` (width, height) px with fx, fy, cx, cy; raises :class:`FileFormatError` for no camera's."""
+    try:
+        camera = Camera(*size, *values)
+    except FileFormatError as error:
+        raise FileFormatError(f"{where}: {error}") from None
+    fx, fy, cx, cy = values
+    most = max(size)
+    if not (most / 20 < fx < most * 20 and most / 20 < fy < most * 20 and abs(cx) < 4 * most and abs(cy) < 4 * most):
+        raise FileFormatError(f"{where}: fx, fy, cx, cy = {fx}, {fy}, {cx}, {cy} do not fit images of {most} pixels")
+    return camera
+
+
+def check_rate_and_scale(path: Path, fps: float, depth_scale: float) -> None:
+    """Raise :class:`FileFormatError` for values that no recording has."""
+    low, high = DEPTH_SCALE_RANGE
+    if not low <= depth_scale <= high:
+        inverse = 0 < depth_scale < 1 and low <= 1 / depth_scale <= high
+        hint = f"; as metres per unit it would be {1 / depth_scale:g} units per metre" if inverse else ""
+        raise FileFormatError(
+            f"{path}: depth_scale = {depth_scale:g} is not between {low:g} and {high:g} per metre; usual are "
+            f"{USUAL_DEPTH_SCALES}{hint}"
+        )
+    if not 0.1 <= fps <= 1000:
+        raise FileFormatError(f"{path}: fps = {fps:g} is not between 0.1 and 1000; usual are 30, 60 and 15")
+
+
+def intrinsics_json(camera: Camera, fps: float, depth_scale: float) -> str:
+    """The text of an ``intrinsic.json``."""
+    content = {
+        "width": camera.width,
+        "height": camera.height,
+        "fps": fps,
+        "depth_scale": depth_scale,
+        "intrinsic_matrix": camera.matrix.T.ravel().tolist(),
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _read_json(path: Path) -> dict:
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such file; a recording needs its camera's calibration")
+    try:
+        content = json.loads(read_bytes(path, _MAX_JSON_BYTES))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(f"{path}: not readable as JSON ({error})") from None
+    if not isinstance(content, dict):
+        raise FileFormatError(f"{path}: not a JSON object")
+    return content
+
+
+def _number(path: Path, name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
+        raise FileFormatError(f"{path}: {name} = {_short(value)} is not a finite number")
+    return float(value)
+
+
+def _short(value: object) -> str:
+    try:
+        return str(value)[:60]
+    except ValueError:  # an integer of more than 4300 digits
+        return "a huge number"
+
+
+def _finite(value: int | float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer too large for a float
+        return False

@@ -1,0 +1,126 @@
+"""Frames seen the right way round: mirrored recordings are flipped, and those of a camera that lay on its side turned.
+
+Colour, depth, calibration and features change together, so that the frame stays what a real camera saw.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import FrameError
+from ..frame import FEATURE_IDS, Features2D, RgbdFrame
+
+#: What ends the name of a source whose pictures are mirrored, as selfie videos are.
+MIRRORED = ",mirrored"
+#: iBUG-68 numbers that change places in a mirror, region by region: brows, eyes, outer lips, inner lips.
+_PAIRS = (
+    *zip(range(18, 22), range(25, 21, -1), strict=True),
+    *((36, 45), (37, 44), (38, 43), (39, 42), (40, 47), (41, 46)),
+    *((48, 54), (49, 53), (50, 52), (55, 59), (56, 58)),
+    *((60, 64), (61, 63), (65, 67)),
+)
+_SWAP = np.arange(len(FEATURE_IDS))
+for _a, _b in np.searchsorted(FEATURE_IDS, _PAIRS):
+    _SWAP[[_a, _b]] = _b, _a
+
+
+def split_mirrored(text: str) -> tuple[str, bool]:
+    """``text`` without the ending ``,mirrored``, and whether it had one; a file of that very name is a file."""
+    if text.endswith(MIRRORED) and not Path(text).exists():
+        return text.removesuffix(MIRRORED), True
+    return text, False
+
+
+def mirrored(frame: RgbdFrame) -> RgbdFrame:
+    """``frame`` flipped left to right; what was the left eye in its features is the right one. Keeps the frame's class."""
+    camera, features = frame.camera, frame.features
+    if features is not None:
+        pixels = features.pixels[_SWAP] * [-1.0, 1.0] + [camera.width - 1.0, 0.0]
+        features = Features2D(pixels, features.confidence[_SWAP])
+    return dataclasses.replace(
+        frame,
+        depth=np.ascontiguousarray(frame.depth[:, ::-1]),
+        colour=None if frame.colour is None else np.ascontiguousarray(frame.colour[:, ::-1]),
+        camera=dataclasses.replace(camera, cx=camera.width - 1 - camera.cx),
+        features=features,
+    )
+
+
+def turned(frame: RgbdFrame, quarters: int) -> RgbdFrame:
+    """``frame`` turned anticlockwise by ``quarters`` of a full turn. Keeps the frame's class."""
+    if quarters % 4 == 0:
+        return frame
+    features = frame.features
+    if features is not None:
+        pixels = features.pixels
+        for step in range(quarters % 4):
+            side = frame.camera.width if step % 2 == 0 else frame.camera.height
+            pixels = np.stack([pixels[:, 1], side - 1.0 - pixels[:, 0]], axis=1)
+        features = Features2D(pixels, features.confidence)
+    return dataclasses.replace(
+        frame,
+        depth=np.ascontiguousarray(np.rot90(frame.depth, quarters)),
+        colour=None if frame.colour is None else np.ascontiguousarray(np.rot90(frame.colour, quarters)),
+        camera=turned_camera(frame.camera, quarters),
+        features=features,
+    )
+
+
+def turned_camera(camera: Camera, quarters: int) -> Camera:
+    """The camera whose pictures are those of ``camera`` turned anticlockwise by ``quarters`` of a full turn."""
+    for _ in range(quarters % 4):
+        camera = Camera(
+            camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.width - 1.0 - camera.cx
+        )
+    return camera
+
+
+class OrientedSource:
+    """A source with numbered frames, each mirrored and then turned anticlockwise by ``quarters`` of a full turn.
+
+    Everything else is the source's own, but for its ground truth and its path: what lies there is the other way round.
+    """
+
+    def __init__(self, source, mirrored: bool = False, quarters: int = 0) -> None:
+        self._source, self.mirrored, self.quarters = source, mirrored, quarters
+        camera = source.camera
+        flipped = dataclasses.replace(camera, cx=camera.width - 1 - camera.cx) if mirrored else camera
+        self.camera, self.name = turned_camera(flipped, quarters), source.name
+        for name in ("fps", "depth_scale", "timestamps", "has_features", "colour_only", "notes"):
+            if hasattr(source, name):
+                setattr(self, name, getattr(source, name))
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        for index in range(len(self)):
+            try:
+                yield self.read(index)
+            except FrameError:
+                continue
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame ``index`` the right way round; raises what the source raises."""
+        frame = self._source.read(index)
+        return turned(mirrored(frame) if self.mirrored else frame, self.quarters)
+
+    def close(self) -> None:
+        """Close the source, where it can be closed."""
+        close = getattr(self._source, "close", None)
+        if close is not None:
+            close()
+
+
+def as_tracked(source, result):
+    """``source`` the way round in which ``result`` was tracked, so that pictures and meshes agree; None stays None."""
+    if source is None:
+        return None
+    flip = bool(getattr(result, "mirrored", False)) and not getattr(source, "mirrored", False)
+    quarters = int(getattr(result, "turned", 0)) % 4
+    return OrientedSource(source, flip, quarters) if flip or quarters else source
