@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from .errors import ParameterError
 from .stages import Stage, StageSet, parameter
 
 
@@ -60,11 +61,11 @@ class RigidParameters(Stage):
         8, "most ICP steps; the paper's 3 mm stop rule would end after one", section="4.1", low=1, high=50
     )
     converged: float = parameter(
-        0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10
+        0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10, log=True
     )
     min_matches: int = parameter(150, "fewer correspondences than this and the track is lost", low=6, high=100000)
     stiff: float = parameter(
-        4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000
+        4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000, log=True
     )
     relocate: float = parameter(
         6.0,
@@ -115,6 +116,7 @@ class BlendshapeParameters(Stage):
         section="6",
         low=0,
         high=1e3,
+        log=True,
         paper=0.0,
     )
     joint_pose: bool = parameter(True, "solve the rigid pose together with the coefficients", paper=False)
@@ -218,6 +220,14 @@ class AdaptivePcaParameters(Stage):
         0.05, "share of the frontal vertices that something in front may hide in a frame to be learned", low=0, high=1
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.valid_min > self.valid_max:
+            raise ParameterError(
+                f"adaptive_pca.valid_min = {self.valid_min:g} is above adaptive_pca.valid_max = {self.valid_max:g}: "
+                "no sample could be learned; lower the first or raise the second"
+            )
+
 
 @dataclass(frozen=True)
 class FusionParameters(Stage):
@@ -320,7 +330,7 @@ class ShrinkWrapParameters(Stage):
         log=True,
     )
     feature_weight: float = parameter(
-        2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0, high=1000
+        2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0, high=1000, log=True
     )
     feature_shift: float = parameter(
         4.0,
@@ -331,7 +341,7 @@ class ShrinkWrapParameters(Stage):
         high=20,
     )
     contact_weight: float = parameter(
-        4.0, "lips that touch in the model stay together: weight of a pair", section="3", low=0, high=1000
+        4.0, "lips that touch in the model stay together: weight of a pair", section="3", low=0, high=1000, log=True
     )
     detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)
     detail_smoothness: float = parameter(1.0, "smoothness of the fine step", section="3", low=1e-4, high=1e4, log=True)

@@ -48,6 +48,18 @@ def test_wrong_values_are_named(key, value, words):
     assert key in str(error.value) or "nowhere" in str(error.value)
 
 
+@pytest.mark.parametrize("low, high", [(200, 100), (100.0001, 100), (1e4, 0), (1.5, 1)])
+def test_valid_min_above_valid_max_is_refused_with_a_reason(low, high):
+    """No sample could be learned. Both may change at once, and may be equal."""
+    with pytest.raises(ParameterError, match="valid_min = .* is above adaptive_pca.valid_max = .*no sample"):
+        Parameters().set(**{"adaptive_pca.valid_min": low, "adaptive_pca.valid_max": str(high)})
+    with pytest.raises(ParameterError, match="valid_min"):
+        Parameters.from_json(json.dumps({"adaptive_pca": {"valid_min": low, "valid_max": high}}))
+    for pair in ((high, low), (high, high), (0, 0), (500, 1000)):
+        kept = Parameters().set(adaptive_pca__valid_min=pair[0], adaptive_pca__valid_max=pair[1]).adaptive_pca
+        assert (kept.valid_min, kept.valid_max) == pair
+
+
 def test_json_round_trip():
     changed = Parameters().set(laplacian__w2=7.5, adaptive_pca__learn=False)
     assert Parameters.from_json(changed.to_json()) == changed

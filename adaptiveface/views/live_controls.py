@@ -75,7 +75,10 @@ def _button(text: str, icon: str, tooltip: str, name: str, toggle: bool = False,
 class LiveControls:
     """Widgets by name; ``widget`` holds them all around the boxes ``pictures`` and ``curves``."""
 
-    def __init__(self, on_parameters, parameters=None, sensor: str | None = None, character: str | None = None) -> None:
+    def __init__(
+        self, on_parameters, parameters=None, sensor: str | None = None, character: str | None = None,
+        expressions: int | None = None,
+    ) -> None:  # fmt: skip
         self.sensor = widgets.Dropdown(
             options=self._sensors(sensor), description="sensor", style=_NARROW, layout=widgets.Layout(width="560px")
         )
@@ -94,7 +97,7 @@ class LiveControls:
         self.figures.add_class("adaptiveface-live-figures")
         self.trouble.add_class("adaptiveface-live-trouble")
         self._make_buttons()
-        self.panel = ParameterPanel(STAGES, on_parameters, parameters)
+        self.panel = ParameterPanel(STAGES, on_parameters, parameters, expressions=expressions)
         self.pictures, self.curves = widgets.HBox([], layout=_ROW), widgets.VBox([])
         self._lay_out()
 

@@ -13,6 +13,7 @@ from typing import ClassVar
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, TrackingError
+from ..face_model import embedded_face_model
 from ..live.recorder import LiveRecorder
 from ..live.run import BUILDING, CLOSED, FAILED, OPENING, SCANNING, TRACKING, LiveRun
 from ..live.session import LiveResult
@@ -58,7 +59,7 @@ class LiveView:
         self._shown_state, self._chart_due, self._scan_frame, self._rate = "", 0.0, None, (0.0, 0)
         self._dropped_before = (0, 0, 0)
         name = sensor if isinstance(sensor, str) or sensor is None else sensor.name
-        self.controls = LiveControls(self._set_parameters, parameters, name, character)
+        self.controls = LiveControls(self._set_parameters, parameters, name, character, self._expressions)
         self.input, self.mesh, self.curves = InputPane(), MeshPane(), CurvesPane()
         self._character: CharacterPane | None = None
         self._task = BackgroundTask()
@@ -259,6 +260,7 @@ class LiveView:
         label = _DEGRADED if self.run.colour_only else ""
         self.controls.status.value = label + html.escape(texts.get(state, state))
         if state == TRACKING:
+            self.controls.panel.limit_expressions(self._expressions)
             self.result = None  # results of another session count from zero again
             self._dropped_before = dropped_frames(self.run.session.statistics)  # while the head was built
             if self.run.guidance is not None and self.run.guidance.warnings:
@@ -299,6 +301,12 @@ class LiveView:
         self._character = CharacterPane(name) if name else None
         extra = [self._character.widget] if self._character else []
         self.controls.pictures.children = [self.input.widget, self.mesh.widget, *extra]
+
+    @property
+    def _expressions(self) -> int:
+        """How many expressions the actor has; before there is one, as many as the neutral scan gives it."""
+        actor = self._actor if self.run is None else self.run.actor
+        return len(actor.blendshapes if isinstance(actor, Actor) else embedded_face_model().generic_expressions)
 
     def _set_parameters(self, parameters: Parameters) -> None:
         if self.run is not None:

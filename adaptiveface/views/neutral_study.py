@@ -22,6 +22,7 @@ from ..tracking.bounded import bounded_least_squares
 from .face_view import FaceView
 from .kernel import on_main_thread, shown_errors
 from .session import Session
+from .sliders import TypedNumbers, ValueSlider, linear_steps
 
 _WIDE = widgets.Layout(width="420px")
 _STYLE = {"description_width": "130px"}
@@ -37,7 +38,9 @@ class _Study(ABC):
         self._draw_on_main = on_main_thread(self._redraw)
         for control in controls:
             control.observe(lambda change: self._draw_on_main(), "value")
-        box = widgets.VBox([*controls, self.message], layout=widgets.Layout(max_height="460px", overflow="auto"))
+        column = widgets.Layout(max_height="460px", overflow="auto")
+        box = widgets.VBox([*controls, self.message, TypedNumbers(controls)], layout=column)
+        box.add_class("adaptiveface-numbers")
         self.widget = widgets.HBox([box, self.view.widget], layout=widgets.Layout(flex_flow="row wrap"))
         self._redraw()
 
@@ -78,11 +81,9 @@ class ScanStudy(_Study):
         self.frames = widgets.IntSlider(
             1, min=1, max=most, description="frames", style=_STYLE, layout=_WIDE, continuous_update=False
         )
-        self.voxel = widgets.FloatSlider(
+        self.voxel = ValueSlider(
+            linear_steps(1.5, 5, 0.5),
             voxel,
-            min=1.5,
-            max=5,
-            step=0.5,
             description="voxel, mm",
             style=_STYLE,
             layout=_WIDE,
@@ -111,9 +112,8 @@ class IdentityStudy(_Study):
             centre=self.model.mean[self.model.frontal].mean(axis=0), radius=165.0,
         )  # fmt: skip
         values = np.zeros(modes) if start is None else np.clip(start[:modes], -3, 3)
-        limits = dict(min=-3, max=3, step=0.1, style=_STYLE, layout=_WIDE)
-        self.sliders = [widgets.FloatSlider(float(v), description=f"mode {k + 1}", **limits)
-                        for k, v in enumerate(values)]  # fmt: skip
+        steps, look = linear_steps(-3, 3, 0.1), dict(style=_STYLE, layout=_WIDE)
+        self.sliders = [ValueSlider(steps, v, description=f"mode {k + 1}", **look) for k, v in enumerate(values)]
         self._assemble(self.sliders)
 
     def draw(self) -> None:
@@ -212,10 +212,9 @@ class ExpressionStudy(_Study):
             actor, ("average head", "personal head"), limits=(0, 20), label="displacement, mm", pane=(290, 380)
         )
         self._offset = actor.neutral[actor.frontal].mean(axis=0) - self.model.mean[self.model.frontal].mean(axis=0)
-        limits = dict(
-            min=0, max=1, step=0.02, style={"description_width": "120px"}, layout=widgets.Layout(width="340px")
-        )
-        self.sliders = {name: widgets.FloatSlider((start or {}).get(name, 0.0), description=name, **limits)
+        steps = linear_steps(0, 1, 0.02)
+        look = dict(style={"description_width": "120px"}, layout=widgets.Layout(width="340px"))
+        self.sliders = {name: ValueSlider(steps, (start or {}).get(name, 0.0), description=name, **look)
                         for name in actor.expression_names}  # fmt: skip
         self._assemble(list(self.sliders.values()))
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 
 import ipywidgets as widgets
-import numpy as np
 
 from ..parameters import Parameters, describe
 from .kernel import on_main_thread, shown_errors
+from .sliders import TypedNumbers, ValueSlider, linear_steps, log_steps, short
 
 TITLES = {
     "fusion": "fusion (section 3)", "fit": "identity fit (section 3)", "shrink_wrap": "shrink-wrap (section 3)",
@@ -20,6 +21,8 @@ TITLES = {
 }  # fmt: skip
 #: Jupyter's tabs have one width and cut longer titles off.
 TAB_STYLE = "<style>.adaptiveface-tabs .lm-TabBar-tab {flex: 0 0 auto !important; max-width: none !important}</style>"
+#: The number of expressions used; an actor has only so many.
+EXPRESSIONS = "blendshapes.A"
 OnChange = Callable[[Parameters], None]
 
 
@@ -29,7 +32,8 @@ class ParameterPanel:
     ``names``: stages ("laplacian") or parameters ("adaptive_pca.K"), in the order of display; several stages become
     tabs. ``on_change(parameters)`` is called for every change; when it (or a value) is refused, the message stands in
     the panel and ``parameters`` stays as it was. ``ranges``: name -> (low, high), for a slider narrower than the
-    parameter's own range. Buttons set the paper's value where it differs from the default, and go back.
+    parameter's own range. ``expressions``: how many the actor has, where A's slider ends. Buttons set the paper's value
+    where it differs from the default, and go back. A parameter changes only when its control is moved.
     """
 
     def __init__(
@@ -38,25 +42,26 @@ class ParameterPanel:
         on_change: OnChange | None = None,
         parameters: Parameters | None = None,
         ranges: dict[str, tuple[float, float]] | None = None,
+        expressions: int | None = None,
     ) -> None:
         self.parameters = self._start = parameters or Parameters()
         self.on_change = on_change or (lambda parameters: None)
         self.controls: dict[str, widgets.Widget] = {}
+        self._stands_for: dict[str, tuple] = {}  # what a control shows, and the exact value that it shows so
         self._quiet = False
         self._apply_on_main = on_main_thread(self._apply)
         self.message = widgets.HTML()
         self.message.add_class("adaptiveface-message")
-        chosen = [
-            row for name in names for row in describe() if name in (row["stage"], f"{row['stage']}.{row['name']}")
-        ]
         groups: dict[str, list[widgets.Widget]] = {}
-        for row in chosen:
-            groups.setdefault(row["stage"], []).append(
-                self._control(row, (ranges or {}).get(f"{row['stage']}.{row['name']}"))
-            )
-        reset = widgets.Button(description="reset all", icon="undo", layout=widgets.Layout(width="110px"))
+        for row in (row for name in names for row in describe() if name in (row["stage"], _name(row))):
+            groups.setdefault(row["stage"], []).append(self._control(row, (ranges or {}).get(_name(row))))
+        if expressions is not None:
+            self.limit_expressions(expressions)
+        reset = widgets.Button(description="reset all", icon="undo", layout=widgets.Layout(flex="0 0 110px"))
         reset.on_click(lambda _: self.reset())
-        self.widget = widgets.VBox([self._grouped(groups), widgets.HBox([reset, self.message])])
+        below = widgets.HBox([reset, self.message, TypedNumbers(self.controls.values())])
+        self.widget = widgets.VBox([self._grouped(groups), below])
+        self.widget.add_class("adaptiveface-numbers")
 
     def __getitem__(self, name: str) -> widgets.Widget:
         """The slider of "stage.name"; setting its ``value`` acts like moving it."""
@@ -64,17 +69,45 @@ class ParameterPanel:
 
     def set(self, **values) -> None:
         """Move several sliders at once, named ``stage__name``; applied together."""
-        self._quiet = True
-        try:
-            for name, value in values.items():
-                _move(self.controls[name.replace("__", ".")], value)
-        finally:
-            self._quiet = False
-        self._apply_on_main()
+        values = {name.replace("__", "."): value for name, value in values.items()}
+        wanted = None
+        with self._errors_shown():
+            wanted = self.parameters.set(**values)
+        if wanted is not None:
+            self._show({name: _value(wanted, name) for name in values})
+            self._apply_on_main()
 
     def reset(self) -> None:
         """Every slider back to where it started."""
-        self.set(**{name.replace(".", "__"): _value(self._start, name) for name in self.controls})
+        self.set(**{name: _value(self._start, name) for name in self.controls})
+
+    def limit_expressions(self, count: int) -> None:
+        """Let A's slider, if there is one, end at the ``count`` expressions of an actor; A itself stays as it is."""
+        slider = self.controls.get(EXPRESSIONS)
+        if slider is not None:
+            exact = self._shown(EXPRESSIONS)
+            with self._silence():
+                slider.max = max(count, slider.min + 1)  # a slider needs two ends
+            self._show({EXPRESSIONS: exact})
+
+    def _show(self, values: dict) -> None:
+        """Let the controls show exact values by name, without a change."""
+        with self._silence():
+            for name, value in values.items():
+                control = self.controls[name]
+                if isinstance(control, widgets.IntSlider) and name != EXPRESSIONS:
+                    control.min, control.max = min(control.min, value), max(control.max, value)
+                control.value = value
+                self._stands_for[name] = (control.value, value)
+
+    @contextmanager
+    def _silence(self):
+        """Controls that move in here do not call back."""
+        self._quiet = True
+        try:
+            yield
+        finally:
+            self._quiet = False
 
     def _grouped(self, groups: dict[str, list[widgets.Widget]]) -> widgets.Widget:
         boxes = [widgets.VBox(rows) for rows in groups.values()]
@@ -89,15 +122,15 @@ class ParameterPanel:
         return widgets.VBox([widgets.HTML(TAB_STYLE, layout=widgets.Layout(display="none")), tabs])
 
     def _control(self, row: dict, limits) -> widgets.Widget:
-        name = f"{row['stage']}.{row['name']}"
-        control = _slider(row, _value(self._start, name), limits)
+        name, value = _name(row), _value(self._start, _name(row))
+        control = _control_for(row, value, limits)
         control.description = row["name"]
         control.tooltip = f"{row['doc']} ({name})"
         control.style = {"description_width": "138px"}
         control.layout = widgets.Layout(width="330px")
         control.add_class("adaptiveface-" + name.replace(".", "-"))
         control.observe(lambda change: self._quiet or self._apply_on_main(), "value")
-        self.controls[name] = control
+        self.controls[name], self._stands_for[name] = control, (control.value, value)
         unit = widgets.HTML(
             f"<span title='{row['doc']}'>{row['unit'].replace(' per 3480 vertices', ' / mesh').replace('^2', '²')}</span>",
             layout=widgets.Layout(width="76px"),
@@ -105,22 +138,33 @@ class ParameterPanel:
         parts = [control, unit]
         if row["paper"] is not None:
             paper = widgets.Button(
-                description=f"paper: {_short(row['paper'])}",
+                description=f"paper: {short(row['paper'])}",
                 tooltip="set the paper's value",
                 layout=widgets.Layout(width="auto", min_width="100px"),
             )
-            paper.on_click(lambda _: _move(control, row["paper"]))
+            paper.on_click(lambda _: self.set(**{name: row["paper"]}))
             parts.append(paper)
         return widgets.HBox(parts)
 
     def _apply(self) -> None:
-        with shown_errors(lambda text: setattr(self.message, "value", text)):
-            values = {name: _read(control) for name, control in self.controls.items()}
-            changed = {name: v for name, v in values.items() if v != _value(self.parameters, name)}
+        with self._errors_shown():
+            changed = {name: v for name in self.controls if (v := self._shown(name)) != _value(self.parameters, name)}
             if changed:
                 parameters = self.parameters.set(**changed)
                 self.on_change(parameters)
                 self.parameters = parameters
+
+    def _errors_shown(self):
+        return shown_errors(lambda text: setattr(self.message, "value", text))
+
+    def _shown(self, name: str):
+        """The value that a control shows: the exact one where nobody moved it."""
+        (shown, exact), value = self._stands_for[name], self.controls[name].value
+        return exact if value == shown else value
+
+
+def _name(row: dict) -> str:
+    return f"{row['stage']}.{row['name']}"
 
 
 def _value(parameters: Parameters, name: str):
@@ -128,49 +172,15 @@ def _value(parameters: Parameters, name: str):
     return getattr(getattr(parameters, stage), entry)
 
 
-def _short(value) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _slider(row: dict, value, limits) -> widgets.Widget:
-    low, high = limits or (row["low"], row["high"])
+def _control_for(row: dict, value, limits) -> widgets.Widget:
+    """A control that holds the value, the default and the paper's value exactly."""
     if isinstance(value, bool):
         return widgets.Checkbox(value, indent=True)
     if row["choices"]:
         return widgets.Dropdown(options=row["choices"], value=value)
-    if row["log"]:
-        return widgets.SelectionSlider(
-            options=_log_steps(low, high, value, row["paper"]), value=value, continuous_update=True
-        )
-    if isinstance(value, int):
-        return widgets.IntSlider(value, min=int(low), max=int(high))
-    step = 10.0 ** np.floor(np.log10(max((high - low) / 100, 1e-6)))
-    digits = max(0, -int(np.floor(np.log10(step))))
-    return widgets.FloatSlider(value, min=low, max=high, step=step, readout_format=f".{digits}f")
-
-
-def _log_steps(low: float, high: float, *known) -> list[tuple[str, float]]:
-    """Ten steps per decade from ``low`` to ``high``, and the known values exactly; zero, where allowed, comes first."""
-    bottom = low if low > 0 else min([1e-3, *(0.1 * k for k in known if k)])
-    first, last = np.log10(bottom), np.log10(high)
-    steps = {float(f"{10**e:.3g}") for e in np.linspace(first, last, round(10 * (last - first)) + 1)}
-    steps = (
-        {s for s in steps if low <= s <= high}
-        | {float(k) for k in known if k is not None}
-        | ({0.0} if low <= 0 else set())
-    )
-    return [(_short(float(f"{s:.3g}")), s) for s in sorted(steps)]
-
-
-def _read(control: widgets.Widget):
-    return control.value
-
-
-def _move(control: widgets.Widget, value) -> None:
-    """Set a control; on a logarithmic slider to the nearest step."""
-    if isinstance(control, widgets.SelectionSlider):
-        steps = np.array([v for _, v in control.options])
-        nearest = steps[np.abs(np.log(np.maximum(steps, 1e-12)) - np.log(max(value, 1e-12))).argmin()]
-        control.value = float(nearest)
-    else:
-        control.value = value
+    low, high = limits or (row["low"], row["high"])
+    if isinstance(value, int):  # whole numbers come back as they are
+        return widgets.IntSlider(value, min=min(int(low), value), max=max(int(high), value))
+    known = [float(k) for k in (value, row["default"], row["paper"]) if k is not None]
+    steps = log_steps(low, high, known) if row["log"] else linear_steps(low, high)
+    return ValueSlider([*steps, *(k for k in known if low <= k <= high)], value)

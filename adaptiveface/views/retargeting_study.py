@@ -22,6 +22,7 @@ from .kernel import on_main_thread, shown_errors
 from .pictures import encode
 from .player import Player
 from .session import Session
+from .sliders import TypedNumbers, ValueSlider, linear_steps
 from .turntable import Turntable
 
 #: What drives the faces.
@@ -60,7 +61,7 @@ class RetargetingStudy:
             options=[RESOLVED, INITIAL, CORRECTIVES, COMPARED, SLIDERS], style={"button_width": "auto"}
         )
         self.sliders = {
-            name: widgets.FloatSlider(0, min=0, max=1, step=0.05, description=name, style=_STYLE, layout=_WIDE)
+            name: ValueSlider(linear_steps(0, 1, 0.05), 0, description=name, style=_STYLE, layout=_WIDE)
             for name in self.names
         }
         names = [character.name for character in self.characters]
@@ -77,7 +78,9 @@ class RetargetingStudy:
         self.view.observe(lambda change: redraw(), "camera")
         for slider in self.sliders.values():
             slider.observe(lambda change: self._to_sliders(redraw), "value")
-        box = widgets.VBox(list(self.sliders.values()), layout=widgets.Layout(max_height="260px", overflow="auto"))
+        sliders = list(self.sliders.values())
+        box = widgets.VBox([*sliders, TypedNumbers(sliders)], layout=widgets.Layout(max_height="260px", overflow="auto"))
+        box.add_class("adaptiveface-numbers")
         below = widgets.HBox([box, widgets.VBox([self.compared, self.expression, self.chart.widget])],
                              layout=widgets.Layout(flex_flow="row wrap"))  # fmt: skip
         self.widget = widgets.VBox([self.view, self.mode, self.player.widget, self.message, below])

@@ -20,6 +20,7 @@ from .face_view import FaceView
 from .neutral_study import _STYLE, _WIDE, _Study
 from .replay import Replay
 from .session import Session
+from .sliders import ValueSlider, linear_steps
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,12 @@ class IcpStudy(_Study):
             actor, ("head and depth points",), limits=(0, 6), label="distance of the depth points, mm"
         )
         self.iteration = widgets.IntSlider(0, min=0, max=12, description="iteration", style=_STYLE, layout=_WIDE)
-        self.prune = widgets.FloatSlider(25, min=2, max=60, step=1, description="prune, mm", style=_STYLE, layout=_WIDE)
-        self.shift = widgets.FloatSlider(
-            10, min=0, max=60, step=1, description="start off by, mm", style=_STYLE, layout=_WIDE
+        self.prune = ValueSlider(linear_steps(2, 60, 1), 25, description="prune, mm", style=_STYLE, layout=_WIDE)
+        self.shift = ValueSlider(
+            linear_steps(0, 60, 1), 10, description="start off by, mm", style=_STYLE, layout=_WIDE
         )
-        self.turn = widgets.FloatSlider(
-            8, min=-40, max=40, step=1, description="turned by, degrees", style=_STYLE, layout=_WIDE
+        self.turn = ValueSlider(
+            linear_steps(-40, 40, 1), 8, description="turned by, degrees", style=_STYLE, layout=_WIDE
         )
         self.chart = LiveChart(
             ("mean residual", "stop rule, 3 mm", "error of the pose"), (0, 12), (0.05, 100), "iteration", "mm, logarithmic",

@@ -44,7 +44,8 @@ class Workbench:
     ) -> None:  # fmt: skip
         self.session, self.panes, self.charts, self.extra = session, list(panes.values()), list(charts), extra
         self.replay = Replay(session.frames, session.actor, parameters, self._on_result, make_tracker)
-        self.panel = ParameterPanel(controls, self._change, self.replay.parameters, ranges)
+        expressions = len(session.actor.blendshapes)
+        self.panel = ParameterPanel(controls, self._change, self.replay.parameters, ranges, expressions)
         side = 300 if len(panes) > 2 else 360
         self.view = FaceView.of(session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.15 * side)))
         self.camera = CameraView((260, 300)) if camera else None

@@ -129,6 +129,11 @@ def run_code(page, code: str) -> str:
     )
 
 
+def shut_down(page) -> None:
+    """End the open notebook's kernel: the machine belongs to the next one."""
+    page.evaluate("async () => window.jupyterapp.shell.currentWidget.sessionContext.shutdown()")
+
+
 def pictures_per_second(page, seconds: float) -> float:
     """How many pictures of the face the browser decodes a second, while it is left alone."""
     page.evaluate("() => { window.loads.face = []; }")
@@ -144,6 +149,15 @@ def wait_for_text(page, selector: str, text: str, seconds: float) -> None:
         arg=[selector, text],
         timeout=1000 * seconds,
     )
+
+
+def notebook_of(*cells: str):
+    """A notebook of these code cells."""
+    import nbformat
+
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    notebook.metadata.kernelspec = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    return notebook
 
 
 def cell_with(name: str, text: str) -> int:
