@@ -10,6 +10,7 @@ import numpy as np
 from .appearance import FIELDS as APPEARANCE_FIELDS
 from .appearance import Appearance
 from .errors import FileFormatError
+from .files import replacing
 from .frame import FEATURE_IDS
 from .npz import Field, check_indices, load_checked
 
@@ -67,10 +68,8 @@ class Actor:
         for name, value in (known | (self.appearance.arrays() if self.appearance else {})).items():
             value = np.asarray(value)
             arrays[name] = value.astype(np.float32) if value.dtype.kind == "f" else value
-        temporary = f"{os.fspath(path)}.part"
-        with open(temporary, "wb") as stream:
+        with replacing(path) as temporary, open(temporary, "wb") as stream:
             np.savez_compressed(stream, **arrays)
-        os.replace(temporary, path)
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Actor:

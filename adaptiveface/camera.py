@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import FileFormatError
+from .errors import FileFormatError, abbreviated
+
+#: Most pixels of a picture: 8K video has 33 million.
+MAX_PIXELS = 1 << 25
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,13 @@ class Camera:
     cy: float
 
     def __post_init__(self) -> None:
-        if not (0 < self.width <= 16384 and 0 < self.height <= 16384):
-            raise FileFormatError(f"image size {self.width} x {self.height} is not between 1 and 16384 pixels")
+        if not (0 < self.width <= 16384 and 0 < self.height <= 16384 and self.width * self.height <= MAX_PIXELS):
+            given = f"{abbreviated(self.width, 12)} x {abbreviated(self.height, 12)}"
+            raise FileFormatError(f"image size {given} is not between 1 and 16384 pixels, {MAX_PIXELS} in all")
         values = np.array([self.fx, self.fy, self.cx, self.cy], float)
         if not np.isfinite(values).all() or self.fx <= 0 or self.fy <= 0:
-            raise FileFormatError(f"camera intrinsics are not usable: fx, fy, cx, cy = {values.tolist()}")
+            given = ", ".join(f"{value:g}" for value in values)
+            raise FileFormatError(f"camera intrinsics are not usable: fx, fy, cx, cy = {given}")
 
     @property
     def matrix(self) -> np.ndarray:

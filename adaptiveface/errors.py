@@ -7,6 +7,20 @@ The command line turns any :class:`AdaptiveFaceError` into one line on stderr an
 SYSTEM_LIBRARIES_HINT = "on Debian or Ubuntu: apt install libegl1 libgles2 libgl1 libglib2.0-0"
 
 
+def abbreviated(value: object, length: int = 60) -> str:
+    """A value out of a file or a command line as text for a message, with "..." for what is beyond ``length`` characters.
+
+    A float is written with the digits that say what it is; a whole number may have thousands of them.
+    """
+    if isinstance(value, float):
+        return f"{value:g}"
+    try:
+        text = str(value)
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return "a huge number"
+    return text if len(text) <= length else f"{text[: length - 3]}..."
+
+
 class AdaptiveFaceError(Exception):
     """Base class: anything the user can act on (a bad file, a bad value, a missing extra)."""
 

@@ -13,6 +13,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from .files import replacing
 from .frame import FEATURE_IDS
 from .npz import Field, check_indices, load_checked
 
@@ -109,7 +110,7 @@ def load_face_model(path: str | os.PathLike) -> FaceModel:
 def save_face_model(path: str | os.PathLike, model: FaceModel) -> None:
     """Write a model, an imported one say, in this package's npz layout (float32; read by :func:`load_face_model`)."""
     arrays = {name: np.asarray(getattr(model, name)) for name in _FIELDS if getattr(model, name) is not None}
-    with open(path, "wb") as file:
+    with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, **{k: a.astype(np.float32) if a.dtype.kind == "f" else a for k, a in arrays.items()})
 
 

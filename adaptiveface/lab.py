@@ -18,12 +18,15 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import AdaptiveFaceError, MissingExtraError
+from .errors import AdaptiveFaceError, FileFormatError, MissingExtraError
+from .files import read_bytes, read_json, replacing
 
 LOOPBACK = "127.0.0.1"
 #: Own files inside the learner's folder: settings for JupyterLab, fingerprints of the notebooks as they were copied.
 STATE = ".adaptiveface"
 NEEDED = ("jupyterlab", "ipykernel", "ipywidgets", "anywidget", "pyvista")
+#: A notebook with the pictures of its outputs.
+MAX_NOTEBOOK_BYTES = 256 << 20
 PIP_LINE = 'pip install "adaptiveface[notebooks]"'
 
 #: JupyterLab settings: widget callbacks on the kernel's main thread (an OpenGL context belongs to the thread that made
@@ -76,24 +79,24 @@ def copy_notebooks(folder: Path, source: Path | None = None) -> Copied:
         else:
             new.append(name)
         target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = target.with_name(target.name + ".part")
-        shutil.copyfile(path, temporary)  # not the mode: an installed file may be read-only
-        os.replace(temporary, target)
+        with replacing(target) as temporary:
+            shutil.copyfile(path, temporary)  # not the mode: an installed file may be read-only
         known[name] = wanted
     record.parent.mkdir(parents=True, exist_ok=True)
-    record.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    with replacing(record) as temporary:
+        temporary.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     return Copied(tuple(new), tuple(updated), tuple(kept))
 
 
 def _fingerprint(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bytes(path, MAX_NOTEBOOK_BYTES)).hexdigest()
 
 
 def _read_record(path: Path) -> dict[str, str]:
     """Fingerprints of an earlier run; a damaged file only means that nothing is taken for unchanged."""
     try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        known = read_json(path, 1 << 20)
+    except FileFormatError:
         return {}
     return known if isinstance(known, dict) else {}
 
@@ -108,7 +111,8 @@ def lab_environment(folder: Path, environment: dict[str, str] | None = None) -> 
     state = (folder / STATE).resolve()
     settings = state / "config" / "labconfig"
     settings.mkdir(parents=True, exist_ok=True)
-    (settings / "default_setting_overrides.json").write_text(json.dumps(SETTINGS, indent=1) + "\n", encoding="utf-8")
+    with replacing(settings / "default_setting_overrides.json") as temporary:
+        temporary.write_text(json.dumps(SETTINGS, indent=1) + "\n", encoding="utf-8")
     (state / "no-wasm").mkdir(exist_ok=True)
     others = [values["JUPYTER_CONFIG_PATH"]] if values.get("JUPYTER_CONFIG_PATH") else []
     values["JUPYTER_CONFIG_PATH"] = os.pathsep.join([str(state / "config"), *others])

@@ -180,9 +180,9 @@ def track_source(
                 builder.add(tracked)
                 if on_frame is not None:
                     on_frame(tracked, frame)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interruption:
         builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
-        raise TrackingInterrupted(builder.finish(tracker.model.correctives)) from None
+        raise TrackingInterrupted(builder.finish(tracker.model.correctives)) from interruption
     if len(reader.skipped) == len(source):
         raise reader.fail("no frame can be used")
     builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)

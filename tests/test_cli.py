@@ -162,8 +162,9 @@ def test_ctrl_c_keeps_what_was_done(take, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(Recording, "read", read)
     out = tmp_path / "r.npz"
     status, printed, err = run(capsys, "track", take[0], "--actor", take[1], "--out", out)
-    assert (status, err) == (130, "adaptiveface: interrupted\n") and "4 frames" in printed
-    assert len(Result.load(out)) == 4 and Result.load(out).tracked.all()
+    assert (status, err) == (130, "adaptiveface: interrupted\n") and "r.partial.npz: 4 frames" in printed
+    partial = Result.load(tmp_path / "r.partial.npz")
+    assert len(partial) == 4 and partial.tracked.all() and not out.exists()
 
 
 def test_the_frame_loop_caps_blas_to_one_thread(take):

@@ -15,7 +15,7 @@ import pytest
 from live_faults import CAMERA, ScriptedDriver, small_frame
 
 from adaptiveface.cli import main
-from adaptiveface.errors import FileFormatError, RecordingError, SensorDisconnectedError
+from adaptiveface.errors import AdaptiveFaceError, FileFormatError, RecordingError, SensorDisconnectedError
 from adaptiveface.sensors import Recording, RecordingWriter
 from adaptiveface.sensors import recording as recording_module
 from adaptiveface.sensors.live import LiveSensor, RawFrame
@@ -74,7 +74,7 @@ def test_a_full_disk_is_a_clear_error_and_what_was_written_stays(tmp_path, monke
 
     monkeypatch.setattr(recording_module, "write_image", disk_with_room_for_twelve_images)
     with sensor_of([coloured(i) for i in range(400)]) as sensor:
-        with pytest.raises(RecordingError, match="No space left on device after [56] frames, which are kept"):
+        with pytest.raises(RecordingError, match="no space left on the disk after [56] frames, which are kept"):
             record_sensor(sensor, tmp_path)
     assert len(list(Recording(tmp_path))) in (5, 6)  # the twelfth image may belong to a seventh frame
 
@@ -86,7 +86,7 @@ def test_an_image_that_does_not_fit_leaves_no_half_file(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("pathlib.Path.write_bytes", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(AdaptiveFaceError, match="no space"):
         recording_module.write_image(tmp_path / "00000.png", np.ones((24, 32), np.uint16))
     assert list(tmp_path.iterdir()) == []
 
@@ -159,7 +159,7 @@ def test_the_commands_record_and_convert(tmp_path, capsys):
         for a, b in zip(Recording(tmp_path / "first"), Recording(tmp_path / name), strict=True):
             assert np.array_equal(a.depth, b.depth) and a.timestamp == pytest.approx(b.timestamp, abs=2e-6)
     assert main(["convert", str(tmp_path / "first"), "--out", str(tmp_path / "second")]) == 2
-    assert "already holds a recording" in capsys.readouterr().err
+    assert "holds files already" in capsys.readouterr().err
     assert main(["convert", str(tmp_path / "nothing"), "--out", str(tmp_path / "fourth")]) == 2
     assert main(["record", "kinect9", "--out", str(tmp_path / "fourth")]) == 2
     assert "possible sensors" in capsys.readouterr().err and not (tmp_path / "fourth").exists()

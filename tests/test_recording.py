@@ -90,7 +90,7 @@ BREAKAGES = {
     "truncated colour": ("color/00002.png", truncate, "not readable as an image"),
     "empty file": ("depth/00002.png", lambda p: p.write_bytes(b""), "not readable as an image"),
     "text": ("color/00002.png", lambda p: p.write_text("no picture"), "not readable as an image"),
-    "a folder": ("depth/00002.png", lambda p: (p.unlink(), p.mkdir()), "not readable as an image"),
+    "a folder": ("depth/00002.png", lambda p: (p.unlink(), p.mkdir()), "not a regular file"),
     "wrong size": ("depth/00002.png", lambda p: Image.new("I;16", (24, 17), 5000).save(p), "24 x 17 pixels"),
     "wrong colour size": ("color/00002.png", lambda p: Image.new("RGB", (25, 16)).save(p), "25 x 16 pixels"),
     "8-bit depth": ("depth/00002.png", lambda p: Image.new("L", (24, 16), 200).save(p), "16-bit grey"),

@@ -1,7 +1,7 @@
 """The command line: ``adaptiveface demo | capture | track | live | ...``; one function pair per command, by what it is for.
 
 Thin: every command is a few calls of the package. Anything the user can act on ends as one line on stderr and exit
-status 2; Ctrl-C ends with 130 after saving what was done.
+status 2; Ctrl-C ends with 130 after saving what was done, SIGTERM likewise with 143.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import sys
 
 from .. import __version__
 from ..errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError
+from ..interrupt import Terminated, end_process, orderly_end
 from . import offline, sensors, studies, tools
 from .notes import Notes
 
-EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
+EXIT_ERROR, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 130, 143
 #: In the order of the help; each adds itself.
 COMMANDS = (
     offline.add_demo, offline.add_capture, offline.add_track, sensors.add_record, sensors.add_convert,
@@ -24,7 +25,18 @@ COMMANDS = (
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command of ``argv`` (default: the process's arguments) and return the exit status."""
+    """Run a command of ``argv`` and return the exit status; without ``argv`` as the process's command, which it ends."""
+    try:
+        with orderly_end():
+            status = _run(argv)
+    except KeyboardInterrupt as interruption:  # a second one, while the first was dealt with
+        status = _interrupted(interruption)
+    if argv is None:
+        end_process(status)
+    return status
+
+
+def _run(argv: list[str] | None) -> int:
     args = _parser().parse_args(argv)
     try:
         with Notes():
@@ -33,11 +45,21 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(str(error))
     except ImportError as error:
         return _fail(f"{error} ({SYSTEM_LIBRARIES_HINT})")
-    except (OSError, MemoryError) as error:
+    except BrokenPipeError:
+        return _fail("nobody reads the output any more; it ends here")
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{name}{error.strerror or error}")
+    except MemoryError as error:
         return _fail(str(error) or "out of memory")
-    except KeyboardInterrupt:
-        print("adaptiveface: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as interruption:
+        return _interrupted(interruption)
+
+
+def _interrupted(interruption: KeyboardInterrupt) -> int:
+    stopped = isinstance(interruption, Terminated) or isinstance(interruption.__cause__, Terminated)
+    print(f"adaptiveface: {'ended by SIGTERM' if stopped else 'interrupted'}", file=sys.stderr)
+    return EXIT_TERMINATED if stopped else EXIT_INTERRUPTED
 
 
 def _fail(message: str) -> int:
@@ -62,4 +84,4 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-__all__ = ["COMMANDS", "EXIT_ERROR", "EXIT_INTERRUPTED", "main"]
+__all__ = ["COMMANDS", "EXIT_ERROR", "EXIT_INTERRUPTED", "EXIT_TERMINATED", "main"]

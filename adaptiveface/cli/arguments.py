@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from pathlib import Path
 
-from ..errors import AdaptiveFaceError, ParameterError
+from ..errors import ParameterError
 
 
 def add_source(command: argparse.ArgumentParser) -> None:
@@ -69,13 +68,3 @@ def parameters(settings: list[str]):
             raise ParameterError(f"--set {setting}: stage.name=value is expected, e.g. laplacian.w1=0.2")
         values[name] = value
     return Parameters().set(**values)
-
-
-def check_output(path: Path, suffix: str = ".npz") -> None:
-    """Refuse an output path that cannot be written before an hour of work, not after it."""
-    if path.suffix != suffix:
-        raise AdaptiveFaceError(f"{path}: the output's name must end in {suffix}")
-    if path.is_dir():
-        raise AdaptiveFaceError(f"{path}: is a folder, the name of a file is expected")
-    if not path.resolve().parent.is_dir():
-        raise AdaptiveFaceError(f"{path}: the folder {path.resolve().parent} does not exist")

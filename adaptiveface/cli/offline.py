@@ -7,8 +7,10 @@ import time
 from pathlib import Path
 
 from ..export.arguments import add_export_arguments
+from ..files import check_folder, check_output
+from ..interrupt import CtrlC
 from ..retargeting import BUILT_IN
-from .arguments import add_settings, add_source, check_output, opened, parameters, source_name, whole
+from .arguments import add_settings, add_source, opened, parameters, source_name, whole
 
 
 def add_demo(commands) -> None:
@@ -27,10 +29,7 @@ def run_demo(args: argparse.Namespace) -> int:
     """``demo``: capture, track and score a synthetic performer, and write actor, result and report to a folder."""
     start = time.perf_counter()
     chosen = parameters(args.set)
-    if args.character:
-        from ..retargeting.character import load_character
-
-        load_character(args.character)  # a wrong name ends here, not after the tracking
+    _check_demo(args)
     from ..evaluation import ErrorCollector
     from ..evaluation.coefficients import measure_coefficients
     from ..pipeline import capture_from, track_to_file
@@ -58,6 +57,21 @@ def run_demo(args: argparse.Namespace) -> int:
     return 0
 
 
+def _check_demo(args: argparse.Namespace) -> None:
+    """What would end the demo after the tracking ends it here."""
+    inputs = [args.character]
+    check_folder(args.out)
+    outputs = {"actor.npz": "actor", "result.npz": "result", "report.html": "html"}
+    if args.character:
+        from ..export.command import demo_character_files
+        from ..retargeting.character import load_character
+
+        outputs |= demo_character_files(load_character(args.character))
+    for name, kind in outputs.items():
+        if args.out.is_dir():
+            check_output(args.out / name, kind, inputs)
+
+
 def add_capture(commands) -> None:
     """``capture``."""
     capture = commands.add_parser("capture", help="neutral scan -> personal model")
@@ -71,7 +85,7 @@ def add_capture(commands) -> None:
 def run_capture(args: argparse.Namespace) -> int:
     """``capture SOURCE --out actor.npz``."""
     chosen = parameters(args.set)
-    check_output(args.out)
+    check_output(args.out, "actor", [args.source])
     from ..pipeline import capture_from
 
     actor = capture_from(opened(source_name(args)), chosen, args.neutral_frames, progress=True)
@@ -97,7 +111,12 @@ def add_track(commands) -> None:
 def run_track(args: argparse.Namespace) -> int:
     """``track SOURCE --out result.npz``."""
     chosen = parameters(args.set)
-    check_output(args.out)
+    inputs = [args.source, args.actor]
+    check_output(args.out, "result", inputs)
+    if args.report:
+        check_folder(args.report)
+        if args.report.is_dir():
+            check_output(args.report / "report.html", "html", inputs)
     from ..actor import Actor
     from ..pipeline import TrackingInterrupted, capture_from, track_to_file
     from ..rows import discard, unfinished_folder
@@ -109,14 +128,25 @@ def run_track(args: argparse.Namespace) -> int:
     try:
         result = track_to_file(source, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
     except TrackingInterrupted as interruption:
-        interruption.result.save(args.out)
+        _save_partial(interruption.result, args.out)
         discard(unfinished_folder(args.out))
-        print(f"{args.out}: {len(interruption.result)} frames until the interruption")
         raise
-    print(result.summary())
+    print(f"{args.out}: {result.summary()}")
     if args.report:
         _report(result, source, actor, args.report, still_frames=0 if args.actor else args.neutral_frames)
     return 0
+
+
+def _save_partial(result, out: Path) -> None:
+    """Keep the frames until Ctrl-C under a name of their own: a finished result of an earlier run stays."""
+    partial = out.with_name(f"{out.stem}.partial.npz")
+    earlier = f"; {out} is as it was" if out.exists() else ""
+    if not len(result):
+        print(f"{out}: not written, no frame was tracked before the interruption{earlier}")
+        return
+    with CtrlC():
+        result.save(partial)
+    print(f"{partial}: {len(result)} frames until the interruption{earlier}")
 
 
 def _report(result, source, actor, folder: Path, **options) -> None:

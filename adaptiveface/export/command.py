@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..actor import Actor
-from ..errors import AdaptiveFaceError, ParameterError
+from ..errors import ParameterError
+from ..files import check_output, check_output_folder
 from ..livelink.take import is_take
 from ..result import Result
 from ..retargeting import COEFFICIENTS
@@ -21,8 +22,6 @@ from ..retargeting.smoothing import FILTERS, Smoothing
 from ..timing import clean_times, frame_rate
 from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
-
-_USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True)
@@ -106,16 +105,12 @@ def _output(args: argparse.Namespace) -> Path:
     suffix = FORMATS[args.format]
     name = "arkit" if args.format == "arkit-csv" else Path(args.character).stem
     out = args.out or args.result.with_name(f"{args.result.stem}-{name}{suffix or '-obj'}")
-    allowed = _USD_SUFFIXES if args.format == "usd" else (suffix,)
-    if suffix and out.suffix.lower() not in allowed:
-        raise AdaptiveFaceError(f"{out}: the output's name must end in {' or '.join(allowed)}")
-    if suffix and out.is_dir():
-        raise AdaptiveFaceError(f"{out}: is a folder, the name of a file is expected")
-    if not suffix and out.exists() and not out.is_dir():
-        raise AdaptiveFaceError(f"{out}: a folder is expected")
-    if not out.resolve().parent.is_dir():
-        raise AdaptiveFaceError(f"{out}: the folder {out.resolve().parent} does not exist")
-    return out
+    inputs = [args.result, args.character, args.actor, args.source]
+    if args.format == "obj":
+        from .obj_sequence import is_of_sequence
+
+        return check_output_folder(out, is_of_sequence, inputs)
+    return check_output(out, args.format, inputs)
 
 
 def _actor(path: Path | None, folder: Path, result: Result) -> Actor | None:
@@ -166,13 +161,18 @@ def write_performance_video(
     write_video(path, side_by_side(panels, labels, frames), frame_rate(result.timestamps) / step)
 
 
+def demo_character_files(character: Character) -> dict[str, str]:
+    """Name -> kind of the files that :func:`write_demo_character` writes."""
+    return {f"{character.name}.glb": "glb", f"{character.name}.mp4": "mp4"}
+
+
 def write_demo_character(name: str, result: Result, actor: Actor, source, folder: Path) -> list[Path]:
     """``demo --character``: NAME.glb with the actor's correctives, and NAME.mp4 (half the frames) beside the report."""
     from .gltf import write_glb
 
     character = load_character(name)
     options = ExportOptions(name, correctives=character.shares_topology(actor.triangles))
-    paths = [folder / f"{character.name}.glb", folder / f"{character.name}.mp4"]
+    paths = [folder / file for file in demo_character_files(character)]
     mesh = animated_character(result, actor, character, options)
     write_glb(paths[0], mesh)
     write_performance_video(paths[1], result, [mesh], source, step=2)

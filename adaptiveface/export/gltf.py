@@ -16,6 +16,7 @@ import numpy as np
 
 from .. import __version__
 from ..errors import FileFormatError
+from ..files import replacing
 from ..retargeting.gltf_file import GltfFile
 from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
 
@@ -161,12 +162,10 @@ def _write(path: str | os.PathLike, document: dict, binary: bytearray) -> None:
     total = 12 + 8 + len(text) + 8 + len(binary)
     if total >= 1 << 32:
         raise FileFormatError(f"{path}: {total >> 20} MiB do not fit into a .glb file; export fewer frames")
-    temporary = f"{os.fspath(path)}.part"
-    with open(temporary, "wb") as stream:
+    with replacing(path) as temporary, open(temporary, "wb") as stream:
         stream.write(struct.pack("<4sII", b"glTF", 2, total))
         stream.write(struct.pack("<I4s", len(text), b"JSON") + text)
         stream.write(struct.pack("<I4s", len(binary), b"BIN\0") + binary)
-    os.replace(temporary, path)
 
 
 def read_glb_animation(path: str | os.PathLike) -> AnimatedMesh:

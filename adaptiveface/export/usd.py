@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import math
 import os
@@ -14,9 +15,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import FileFormatError, MissingExtraError
-from ..files import replacing
+from ..files import open_regular, replacing
 from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
 from .gltf import quaternions
+
+#: Largest file that is read back.
+MAX_BYTES = 1 << 30
 
 
 def _pxr():
@@ -64,8 +68,13 @@ def write_usd(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
 
 
 def _export(stage, path: Path) -> None:
-    if not stage.Export(os.fspath(path)):
-        raise FileFormatError(f"{path}: USD could not write the file")
+    """Write, and read it back: USD may take a full disk for a success."""
+    try:
+        written = stage.Export(os.fspath(path))
+    except Exception as error:  # pxr.Tf.ErrorException
+        raise OSError(errno.EIO, f"USD says: {str(error).splitlines()[-1][:160]}; is the disk full?") from None
+    if not written or not _complete(path):
+        raise OSError(errno.EIO, "USD failed; is the disk full?")
 
 
 def _write_package(stage, path: Path) -> None:
@@ -75,7 +84,18 @@ def _write_package(stage, path: Path) -> None:
         layer = Path(folder) / "performance.usdc"
         _export(stage, layer)
         if not pxr.UsdUtils.CreateNewARKitUsdzPackage(pxr.Sdf.AssetPath(os.fspath(layer)), os.fspath(path)):
-            raise FileFormatError(f"{path}: USD could not write the package")
+            raise OSError(errno.EIO, "USD could not write the package; is the disk full?")
+    if not _complete(path):
+        raise OSError(errno.EIO, "USD failed; is the disk full?")
+
+
+def _complete(path: Path) -> bool:
+    """Whether a file that was just written can be opened and holds the animation, which is written last."""
+    try:
+        stage = _pxr().Usd.Stage.Open(os.fspath(path))
+        return bool(stage.GetPrimAtPath("/performance/animation"))
+    except Exception:  # pxr.Tf.ErrorException
+        return False
 
 
 def _stage(pxr, mesh: AnimatedMesh):
@@ -186,8 +206,7 @@ def read_usd(path: str | os.PathLike) -> AnimatedMesh:
     """Read back a file of :func:`write_usd`; raises :class:`FileFormatError`."""
     pxr = _pxr()
     Usd, UsdGeom, UsdSkel = pxr.Usd, pxr.UsdGeom, pxr.UsdSkel
-    if not os.path.isfile(path):
-        raise FileFormatError(f"{path}: no such file")
+    open_regular(path, MAX_BYTES).close()
     try:
         stage = Usd.Stage.Open(os.fspath(path))
     except Exception as error:  # pxr.Tf.ErrorException, which only exists once pxr is imported

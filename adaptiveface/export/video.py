@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import errno
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -10,12 +12,15 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, FrameError
+from ..files import replacing
 from ..mesh import rotation_vector_matrix
 from ..rendering import picture
 from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.portrait import portrait
+from ..sensors.capture_device import quiet
 from .animation import CAMERA_TO_VIEW, AnimatedMesh
+from .encoder import encode_h264, ffmpeg_program
 
 PANEL = 480
 #: Codecs of OpenCV's writer in the order of preference: VP9 plays in browsers, MPEG-4 everywhere else.
@@ -97,58 +102,72 @@ def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterabl
 
 
 def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write RGB frames of one even size as ``.mp4`` or ``.gif``.
+    """Write RGB frames of one even size as ``.mp4`` or ``.gif``, whole or not at all.
 
     MP4 is H.264 where ``imageio-ffmpeg`` is installed (extra ``video``), else what OpenCV can write. Raises
-    :class:`AdaptiveFaceError` when there is no frame or no encoder.
+    :class:`AdaptiveFaceError` when there is no frame or no encoder, when the encoder fails, or when the disk is full.
     """
     path = Path(path)
     frames = iter(frames)
     first = next(frames, None)
     if first is None:
         raise AdaptiveFaceError(f"{path}: no frames, no video")
-    if path.suffix.lower() == ".gif":
-        _write_gif(path, first, frames, fps)
-    elif not _write_h264(path, first, frames, fps):
-        _write_opencv(path, first, frames, fps)
+    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+    with replacing(path) as temporary:
+        write(temporary, path, itertools.chain([first], frames), fps)
 
 
-def _write_gif(path: Path, first: np.ndarray, frames: Iterable[np.ndarray], fps: float) -> None:
+def _write_gif(temporary: Path, path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     from PIL import Image
 
     step = max(1, round(fps / 15))  # GIF counts hundredths of a second; 15 frames a second keep it small
-    kept = [first] + [frame for number, frame in enumerate(frames, start=1) if number % step == 0]
+    kept = itertools.islice(frames, 0, None, step)
     images = [Image.fromarray(cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)) for f in kept]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 * step / fps), loop=0)
+    images[0].save(temporary, save_all=True, append_images=images[1:], duration=round(1000 * step / fps), loop=0)
 
 
-def _write_h264(path: Path, first: np.ndarray, frames: Iterable[np.ndarray], fps: float) -> bool:
+def _write_mp4(temporary: Path, path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
+    first = next(frames)
+    given = 0
+
+    def counted() -> Iterator[np.ndarray]:
+        nonlocal given
+        for frame in itertools.chain([first], frames):
+            given += 1
+            yield frame
+
+    size = (first.shape[1], first.shape[0])
+    program = ffmpeg_program()
     try:
-        import imageio_ffmpeg
-    except ImportError:
-        return False
-    height, width = first.shape[:2]
-    writer = imageio_ffmpeg.write_frames(str(path), (width, height), fps=fps, codec="libx264", macro_block_size=2,
-                                         output_params=["-crf", "20", "-movflags", "+faststart"])  # fmt: skip
-    writer.send(None)
-    try:
-        writer.send(np.ascontiguousarray(first))
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-    finally:
-        writer.close()
-    return True
+        if program is not None:
+            encode_h264(program, temporary, counted(), size, fps)
+        else:
+            _write_opencv(temporary, counted(), size, fps)
+    except AdaptiveFaceError as error:
+        raise AdaptiveFaceError(f"{path}: {error}") from error
+    written = _frames_in(temporary)
+    if written < given:  # OpenCV's encoder does not say that the disk is full
+        raise OSError(errno.EIO, f"{written} of {given} frames arrived in the file; is the disk full?")
 
 
-def _write_opencv(path: Path, first: np.ndarray, frames: Iterable[np.ndarray], fps: float) -> None:
-    height, width = first.shape[:2]
+def _write_opencv(temporary: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float) -> None:
     for fourcc in _FOURCC:
-        writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*fourcc), fps, (width, height))
+        writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*fourcc), fps, size)
         if writer.isOpened():
             break
     else:
-        raise AdaptiveFaceError(f"{path}: OpenCV has no encoder for it: python -m pip install 'adaptiveface[video]'")
-    writer.write(first[:, :, ::-1])
-    for frame in frames:
-        writer.write(frame[:, :, ::-1])
-    writer.release()
+        raise AdaptiveFaceError("OpenCV has no encoder for it: python -m pip install 'adaptiveface[video]'")
+    try:
+        for frame in frames:
+            writer.write(frame[:, :, ::-1])
+    finally:
+        writer.release()
+
+
+def _frames_in(path: Path) -> int:
+    """How many pictures a finished film says that it holds; 0 where it cannot be played."""
+    with quiet():
+        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() and capture.grab() else 0
+        capture.release()
+    return count

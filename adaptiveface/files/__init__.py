@@ -1,7 +1,37 @@
 """Files as they come and go: writing that leaves the old file or the whole new one, reading that is bounded."""
 
-from .atomic import replacing
-from .bounded import read_bytes, read_text
+from .archive import Archive
+from .atomic import reason, replacing, replacing_folder
+from .bounded import open_regular, parse_json, read_bytes, read_json, read_text
 from .mapped import blocks, map_member, release
+from .outputs import (
+    check_distinct,
+    check_folder,
+    check_new_folder,
+    check_no_input,
+    check_output,
+    check_output_folder,
+)
+from .table import GrowingTable
 
-__all__ = ["blocks", "map_member", "read_bytes", "read_text", "release", "replacing"]
+__all__ = [
+    "Archive",
+    "GrowingTable",
+    "blocks",
+    "check_distinct",
+    "check_folder",
+    "check_new_folder",
+    "check_no_input",
+    "check_output",
+    "check_output_folder",
+    "map_member",
+    "open_regular",
+    "parse_json",
+    "read_bytes",
+    "read_json",
+    "read_text",
+    "reason",
+    "release",
+    "replacing",
+    "replacing_folder",
+]

@@ -1,30 +1,38 @@
-"""Writing a file whole or not at all: every writer of the package writes beside its output and renames at the end."""
+"""Writing a file or a folder whole or not at all: every writer writes beside its output and renames at the end."""
 
 from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
+import stat
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import AdaptiveFaceError
 
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) if hasattr(errno, "EDQUOT") else (errno.ENOSPC, errno.EFBIG)
+
 
 @contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[Path]:
+def replacing(path: str | os.PathLike, shared: bool = False, keep_suffix: bool = True) -> Iterator[Path]:
     """Yield the path of a temporary file beside ``path``, and rename it onto ``path`` when the block ends well.
 
     Parameters
     ----------
     path : path-like
-        The file to write. Its suffix is kept by the temporary file (``film.part.mp4``), because encoders choose the
-        format by it.
+        The file to write; a link is followed, and stays a link.
+    shared : bool
+        Several processes may write this file at the same time, as they do with a cache: each has a temporary file of
+        its own.
+    keep_suffix : bool
+        The temporary file has the suffix of ``path`` (``film.part.mp4``), because encoders choose the format by it;
+        without, it is ``00012.png.part``, which nobody takes for one of the images of a folder.
 
     Raises
     ------
     AdaptiveFaceError
-        The disk is full or the folder cannot be written. The message names ``path``.
+        The disk is full, the folder cannot be written, or the file is write-protected. The message names ``path``.
 
     Notes
     -----
@@ -32,23 +40,108 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     A process that is killed leaves the temporary file under its telling name.
     """
     path = Path(path)
-    temporary = path.with_name(f"{path.stem}.part{path.suffix}")
+    target = Path(os.path.realpath(path))
+    mark = f"part{os.getpid()}" if shared else "part"
+    temporary = target.with_name(f"{target.stem}.{mark}{target.suffix}" if keep_suffix else f"{target.name}.{mark}")
     try:
+        mode = _mode_of(target)
         yield temporary
-        os.replace(temporary, path)
+        if mode is not None:
+            os.chmod(temporary, mode)
+        os.replace(temporary, target)
     except BaseException as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise AdaptiveFaceError(f"{path}: {_reason(error)}; {_kept(path)}") from error
+            raise AdaptiveFaceError(f"{path}: {reason(error)}; {_kept(target)}") from error
         raise
 
 
-def _reason(error: OSError) -> str:
-    if error.errno == errno.ENOSPC:
+@contextmanager
+def replacing_folder(path: str | os.PathLike, ours: Callable[[str], bool]) -> Iterator[Path]:
+    """As :func:`replacing` for a folder of files: yield a new folder beside ``path`` that takes its place at the end.
+
+    ``ours(name)`` says which files such a folder holds. Nothing else is ever removed: a folder at ``path`` with other
+    files in it is refused. Parents are made. Raises :class:`AdaptiveFaceError`.
+
+    No system call replaces a folder that is not empty. The old one is therefore called ``NAME.previous`` for the moment
+    between two renames; who finds it under that name alone, after a kill in that moment, puts it back.
+    """
+    path = Path(path)
+    target, began = Path(os.path.realpath(path)), False
+    temporary, previous = (target.with_name(f"{target.name}.{mark}") for mark in ("part", "previous"))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if previous.is_dir() and not target.exists():
+            os.replace(previous, target)
+        for folder in (temporary, previous, target):
+            check_holds_only(folder, ours)
+        began = True  # from here on everything there is ours
+        for folder in (temporary, previous):
+            _remove(folder)
+        temporary.mkdir()
+        yield temporary
+        _swap(temporary, target, previous)
+    except BaseException as error:
+        with suppress(OSError):
+            if began:
+                _remove(temporary)
+        if isinstance(error, OSError):
+            raise AdaptiveFaceError(f"{path}: {reason(error)}; {_kept(target)}") from error
+        raise
+
+
+def check_holds_only(folder: Path, ours: Callable[[str], bool]) -> None:
+    """Raise :class:`AdaptiveFaceError` where ``folder`` is there and is no folder, or holds anything that is not ours."""
+    if not os.path.lexists(folder):
+        return
+    if not folder.is_dir():
+        raise AdaptiveFaceError(f"{folder}: is a file, the name of a folder is expected")
+    other = next((entry.name for entry in folder.iterdir() if not entry.is_file() or not ours(entry.name)), None)
+    if other is not None:
+        raise AdaptiveFaceError(f"{folder}: holds other files ({other}); name a new folder")
+
+
+def reason(error: OSError) -> str:
+    """Why something could not be written, for people."""
+    if error.errno in _FULL:
         return "no space left on the disk"
     return f"cannot be written ({error.strerror or error})"
 
 
+def _mode_of(target: Path) -> int | None:
+    """The permissions of the file that is there; raises OSError where it is none to be replaced."""
+    try:
+        status = target.stat()
+    except FileNotFoundError:
+        return None
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "not a regular file")
+    if not os.access(target, os.W_OK):
+        raise OSError(errno.EACCES, "the file is write-protected")
+    return stat.S_IMODE(status.st_mode)
+
+
+def _swap(temporary: Path, target: Path, previous: Path) -> None:
+    if not target.exists():
+        os.replace(temporary, target)
+        return
+    try:
+        os.replace(target, previous)
+        os.replace(temporary, target)
+    except BaseException:  # Ctrl-C between the two
+        if not target.exists():
+            os.replace(previous, target)
+        raise
+    _remove(previous)
+
+
+def _remove(folder: Path) -> None:
+    if folder.is_dir():
+        for entry in folder.iterdir():
+            entry.unlink()
+        folder.rmdir()
+
+
 def _kept(path: Path) -> str:
-    return "the file that was there is unchanged" if path.exists() else "nothing was written"
+    return "what was there is unchanged" if path.exists() else "nothing was written"

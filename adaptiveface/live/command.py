@@ -10,8 +10,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ..actor import Actor
-from ..errors import AdaptiveFaceError, ParameterError, TrackingError
-from ..interrupt import CtrlC
+from ..errors import ParameterError, TrackingError
+from ..files import check_distinct, check_new_folder, check_output
+from ..interrupt import CtrlC, Terminated
 from ..parameters import Parameters
 from ..result import ResultBuilder
 from ..sensors.catalogue import list_sensors, open_sensor
@@ -74,19 +75,17 @@ class _Headless:
         self._builder: ResultBuilder | None = None
         self._spoken: str | None = None  # the last of the scan's instructions
         self._building = False
+        self._recorder: LiveRecorder | None = None
+        self._told = False  # that the recording has stopped
 
     def _check_outputs(self) -> None:
-        from ..sensors.record import check_new
-
-        for path in (self.args.out, self.args.save_actor):
-            if path is None:
-                continue
-            if path.suffix != ".npz":
-                raise AdaptiveFaceError(f"{path}: the output's name must end in .npz")
-            if path.is_dir() or not path.resolve().parent.is_dir():
-                raise AdaptiveFaceError(f"{path}: is a folder, or lies in one that does not exist")
-        if self.args.record is not None:
-            check_new(self.args.record)
+        args, inputs = self.args, [self.args.sensor, self.args.actor]
+        for path, kind in ((args.out, "result"), (args.save_actor, "actor")):
+            if path is not None:
+                check_output(path, kind, inputs)
+        if args.record is not None:
+            check_new_folder(args.record, inputs)
+        check_distinct(args.out, args.save_actor, args.record)
         if self._addresses() != (None, None):
             from ..export.stream import check_streaming
 
@@ -102,6 +101,7 @@ class _Headless:
             run = stack.enter_context(LiveRun(sensor, self._given, self.parameters, watch=self._show))
             while not run.wait(POLL_SECONDS):
                 ctrl_c.check()
+                self._watch_recording()
             self._track(run.session, ctrl_c)
         return 0
 
@@ -110,11 +110,21 @@ class _Headless:
         if self.args.record is None:
             yield
             return
-        recorder = LiveRecorder(sensor, self.args.record)
+        self._recorder = recorder = LiveRecorder(sensor, self.args.record)
         try:
             yield
         finally:
             print(recorder.close())
+
+    def _watch_recording(self) -> str:
+        """Say at once that the recording has stopped; returns what every later line says of it."""
+        error = self._recorder.error if self._recorder else None
+        if error is None:
+            return ""
+        if not self._told:
+            self._told = True
+            self.line.end(f"THE RECORDING HAS STOPPED: {error}")
+        return "NOT RECORDING; "
 
     # ---- until it tracks, on the run's thread ----------------------------------------------------------------------
     def _show(self, run: LiveRun) -> None:
@@ -164,8 +174,10 @@ class _Headless:
             with session:
                 self._follow(session, ctrl_c)
         finally:
-            self.line.end(str(session.statistics))
-            self._save(session)
+            try:
+                self._save(session)  # before anything is printed: nobody may be there to read it
+            finally:
+                self.line.end(str(session.statistics))
         statistics, name = session.statistics, session.feed.sensor.name
         if session.ended and not statistics.tracked + statistics.lost:
             raise TrackingError(
@@ -185,14 +197,14 @@ class _Headless:
         start, last = time.monotonic(), -1
         while session.running and (self.args.seconds is None or time.monotonic() - start < self.args.seconds):
             if ctrl_c.pressed:
-                self.line.end("ended by Ctrl-C")
+                self.line.end("ended by SIGTERM" if ctrl_c.pressed is Terminated else "ended by Ctrl-C")
                 return
             result = session.latest(last, 0.5)
             state = "waiting"
             if result is not None:
                 last, tracked = result.index, result.tracked
                 state = tracked.sample_state.name.lower().replace("_", " ") if tracked.tracked else "no face"
-            self.line.show(f"{state}: {session.statistics}")
+            self.line.show(f"{self._watch_recording()}{state}: {session.statistics}")
         session.latest(last)  # raises what ended it, unless that is the end of the recording
 
     def _addresses(self):

@@ -7,8 +7,9 @@ import time
 from pathlib import Path
 
 from ..errors import AdaptiveFaceError, FileFormatError
+from ..files import check_new_folder
 from ..sensors.live import LiveFrame, LiveSensor
-from ..sensors.record import FrameRecorder, RecordingSummary, check_has_depth, check_new
+from ..sensors.record import FrameRecorder, RecordingSummary, check_has_depth
 from ..sensors.recording import RecordingWriter
 
 
@@ -17,11 +18,11 @@ class LiveRecorder:
 
     A frame that finds the disk too slow is counted (``refused``), an error (a full disk, another image size) stops the
     recording and nothing else: ``error`` holds it, and :meth:`close` raises it. What was written until then stays.
-    Raises :class:`FileFormatError` for a folder that cannot be used, :class:`SensorError` for a sensor without depth.
+    Raises :class:`AdaptiveFaceError` for a folder that cannot be used, :class:`SensorError` for a sensor without depth.
     """
 
     def __init__(self, sensor: LiveSensor, folder: Path) -> None:
-        check_new(folder)
+        check_new_folder(folder)
         check_has_depth(sensor)
         self.sensor, self.folder, self.error = sensor, Path(folder), None
         self._lock, self._closed = threading.Lock(), False

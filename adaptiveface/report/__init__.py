@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..evaluation import ErrorCollector, Evaluation, GroundTruth
+from ..files import replacing
 from ..retargeting.character import load_character
 from ..sensors.orientation import as_tracked
 from . import page, retargeting, scenes, sections
@@ -56,9 +57,8 @@ def write_report(
     ]  # fmt: skip
     path = Path(out_dir) / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".html.part")
-    unfinished.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8")
-    os.replace(unfinished, path)
+    with replacing(path) as unfinished:
+        unfinished.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8")
     return path
 
 

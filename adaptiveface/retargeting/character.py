@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import FileFormatError, ParameterError
 from ..face_model import FaceModel, embedded_face_model
+from ..files import replacing
 from ..npz import Field, check_indices, load_checked
 from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
@@ -114,7 +115,7 @@ class Character:
             arrays["mix"] = self.mix.astype(np.float32)
         if self.colours is not None:
             arrays["colours"] = self.colours.astype(np.uint8)
-        with open(path, "wb") as stream:
+        with replacing(path) as temporary, open(temporary, "wb") as stream:
             np.savez_compressed(stream, **arrays)
 
 

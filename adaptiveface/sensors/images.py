@@ -7,7 +7,6 @@ Pillow reads the header first, so that the size is judged before any pixel is de
 from __future__ import annotations
 
 import io
-import os
 import warnings
 from pathlib import Path
 
@@ -15,10 +14,11 @@ import numpy as np
 from PIL import Image
 
 from ..camera import Camera
-from ..errors import FrameError
+from ..errors import FileFormatError, FrameError
+from ..files import open_regular, replacing
 
-#: Largest image file that is read into memory: a 16,384 x 16,384 image would not be a depth camera's.
-_MAX_FILE_BYTES = 256 << 20
+#: Largest image file that is read; one of the most pixels, uncompressed, has 96 MiB.
+_MAX_FILE_BYTES = 128 << 20
 
 
 def read_depth(path: Path, camera: Camera) -> np.ndarray:
@@ -34,9 +34,7 @@ def read_colour(path: Path, camera: Camera) -> np.ndarray:
 
 def _decode(path: Path, camera: Camera, formats: tuple, modes: tuple, what: str) -> np.ndarray:
     try:
-        if path.stat().st_size > _MAX_FILE_BYTES:
-            raise FrameError(f"{path}: {path.stat().st_size >> 20} MiB are too many for one image")
-        with warnings.catch_warnings(), open(path, "rb") as stream:
+        with warnings.catch_warnings(), open_regular(path, _MAX_FILE_BYTES) as stream:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(stream, formats=formats) as image:
                 if image.size != (camera.width, camera.height):
@@ -47,6 +45,8 @@ def _decode(path: Path, camera: Camera, formats: tuple, modes: tuple, what: str)
                 return np.array(image.convert("RGB") if "RGB" in modes else image)
     except FrameError:
         raise
+    except FileFormatError as error:
+        raise FrameError(str(error)) from None
     except Exception as error:  # image decoders raise anything from OSError to SyntaxError on damaged files
         raise FrameError(f"{path}: not readable as an image ({error or type(error).__name__})") from error
 
@@ -59,10 +59,5 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
         image.save(buffer, "PNG", compress_level=3)
     else:
         image.save(buffer, "JPEG", quality=95, subsampling=0)
-    temporary = path.with_name(path.name + ".part")
-    try:
+    with replacing(path, keep_suffix=False) as temporary:
         temporary.write_bytes(buffer.getvalue())
-        os.replace(temporary, path)
-    except OSError:  # half an image on a full disk helps nobody
-        temporary.unlink(missing_ok=True)
-        raise

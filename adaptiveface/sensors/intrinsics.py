@@ -8,8 +8,8 @@ import math
 from pathlib import Path
 
 from ..camera import Camera
-from ..errors import FileFormatError
-from ..files import read_bytes
+from ..errors import FileFormatError, abbreviated
+from ..files import read_json
 
 #: Units per metre that a 16-bit depth image of a face can have: centimetre steps up to a range of 0.65 m.
 DEPTH_SCALE_RANGE = (100.0, 100_000.0)
@@ -17,7 +17,7 @@ DEPTH_SCALE_RANGE = (100.0, 100_000.0)
 USUAL_DEPTH_SCALES = "1000 (millimetres: Kinect, RealSense, Azure, Open3D), 5000 (TUM), 8000 or 10000 (fine steps)"
 #: Frames a second where a recording states none.
 USUAL_FPS = 30.0
-_MAX_JSON_BYTES = 1 << 20
+_MAX_JSON_BYTES, _MAX_JSON_VALUES = 1 << 20, 10_000
 _EXPECTED = "a list of 9 numbers: the camera's intrinsics, column-major, [fx, 0, 0, 0, fy, 0, cx, cy, 1]"
 _log = logging.getLogger(__name__)
 
@@ -48,8 +48,8 @@ def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camer
     if content.get("fps") is None:  # a video, which has a depth_scale given, brings its own
         content["fps"] = rate_of(path, None) if depth_scale is None else USUAL_FPS
     width, height, fps, units = (_number(path, name, content.get(name)) for name in ("width", "height", "fps", "depth_scale"))
-    if width != int(width) or height != int(height):
-        raise FileFormatError(f"{path}: the image size {width} x {height} is not whole")
+    if not (width.is_integer() and height.is_integer()):
+        raise FileFormatError(f"{path}: the image size {width:g} x {height:g} is not whole")
     matrix = content.get("intrinsic_matrix")
     check_rate_and_scale(path, fps, units)
     return camera_of(path, (int(width), int(height)), focal_and_centre(path, "intrinsic_matrix", matrix)), fps, units
@@ -61,12 +61,12 @@ def focal_and_centre(path: Path, name: str, matrix: object) -> tuple[float, floa
     Raises :class:`FileFormatError` for anything else, with a hint where it is row-major.
     """
     if not isinstance(matrix, list) or len(matrix) != 9:
-        raise FileFormatError(f"{path}: {name} = {_short(matrix)} is not {_EXPECTED}")
+        raise FileFormatError(f"{path}: {name} = {abbreviated(matrix)} is not {_EXPECTED}")
     fx, b, c, skew, fy, d, cx, cy, one = (_number(path, name, value) for value in matrix)
     if any((b, c, skew, d)) or one != 1:
         row_major = not (cx or cy or b or skew) and c and d
         hint = f"; it looks row-major, write [{fx:g}, 0, 0, 0, {fy:g}, 0, {c:g}, {d:g}, 1]" if row_major else ""
-        raise FileFormatError(f"{path}: {name} {matrix} is not {_EXPECTED}{hint}")
+        raise FileFormatError(f"{path}: {name} {abbreviated(matrix, 120)} is not {_EXPECTED}{hint}")
     return fx, fy, cx, cy
 
 
@@ -74,7 +74,7 @@ def rate_of(path: Path, fps: object) -> float:
     """Frames a second as a file states them, or the usual ones where it states none, which is said."""
     if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000:
         return float(fps)
-    state = "fps is missing" if fps is None else f"fps = {_short(fps)} is not between 0.1 and 1000"
+    state = "fps is missing" if fps is None else f"fps = {abbreviated(fps)} is not between 0.1 and 1000"
     _log.warning("%s: %s; %g is taken (usual are 30, 60 and 15)", path, state, USUAL_FPS)
     return USUAL_FPS
 
@@ -88,7 +88,7 @@ def camera_of(where: Path | str, size: tuple[int, int], values: tuple[float, flo
     fx, fy, cx, cy = values
     most = max(size)
     if not (most / 20 < fx < most * 20 and most / 20 < fy < most * 20 and abs(cx) < 4 * most and abs(cy) < 4 * most):
-        raise FileFormatError(f"{where}: fx, fy, cx, cy = {fx}, {fy}, {cx}, {cy} do not fit images of {most} pixels")
+        raise FileFormatError(f"{where}: fx, fy, cx, cy = {fx:g}, {fy:g}, {cx:g}, {cy:g} do not fit images of {most} pixels")
     return camera
 
 
@@ -119,14 +119,9 @@ def intrinsics_json(camera: Camera, fps: float, depth_scale: float) -> str:
 
 
 def _read_json(path: Path) -> dict:
-    if not path.is_file():
+    if not path.exists():
         raise FileFormatError(f"{path}: no such file; a recording needs its camera's calibration")
-    try:
-        content = json.loads(read_bytes(path, _MAX_JSON_BYTES))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(f"{path}: not readable as JSON ({error})") from None
+    content = read_json(path, _MAX_JSON_BYTES, _MAX_JSON_VALUES)
     if not isinstance(content, dict):
         raise FileFormatError(f"{path}: not a JSON object")
     return content
@@ -134,15 +129,8 @@ def _read_json(path: Path) -> dict:
 
 def _number(path: Path, name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
-        raise FileFormatError(f"{path}: {name} = {_short(value)} is not a finite number")
+        raise FileFormatError(f"{path}: {name} = {abbreviated(value)} is not a finite number")
     return float(value)
-
-
-def _short(value: object) -> str:
-    try:
-        return str(value)[:60]
-    except ValueError:  # an integer of more than 4300 digits
-        return "a huge number"
 
 
 def _finite(value: int | float) -> bool:

@@ -1,8 +1,8 @@
 """``record`` and ``convert``: the frames of a sensor, as raw as they come, in the layout of a recording.
 
-Pictures are compressed by a pool of threads while the next frame is waited for. Images and tables appear whole or not
-at all and the tables are renewed while recording, so that the folder is a readable recording at any moment: killed in
-mid-frame, it ends with the last frame whose images were complete.
+Pictures are compressed by a pool of threads while the next frame is waited for. Images appear whole or not at all and the
+tables grow row by row before them, so that the folder is a readable recording at any moment: killed in mid-frame, it ends
+with the last frame whose images were complete.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import AdaptiveFaceError, EndOfRecording, FileFormatError, RecordingError, SensorError
+from ..files import check_new_folder, reason
 from ..interrupt import CtrlC
 from .live import LiveFrame, LiveSensor
 from .recording import RecordingWriter
 
 #: Threads that compress images, and the frames that may wait for them (about 2 MB each).
 WRITERS, BACKLOG = 2, 90
-#: Seconds between two renewals of the tables; a renewal that took long makes the next one wait 20 times as long.
-CHECKPOINT_SECONDS = 1.0
 #: A sensor that is silent for so long ends the recording, s.
 PATIENCE_SECONDS = 5.0
 #: Broken frames whose reasons are printed.
@@ -69,7 +68,6 @@ class FrameRecorder:
         self.frames = self.refused = 0
         self._pool = ThreadPoolExecutor(WRITERS, thread_name_prefix="recording")
         self._waiting: deque[Future] = deque()
-        self._next_checkpoint = time.perf_counter() + CHECKPOINT_SECONDS
 
     def write(self, frame: LiveFrame) -> bool:
         """Queue ``frame``; False where it was refused."""
@@ -78,39 +76,31 @@ class FrameRecorder:
         if len(self._waiting) >= BACKLOG:
             self.refused += 1
             return False
-        number = self.writer.reserve(frame)
+        with self._explained():
+            number = self.writer.reserve(frame)
         self._waiting.append(self._pool.submit(self.writer.write_images, number, frame))
-        if time.perf_counter() >= self._next_checkpoint:
-            self._checkpoint()
         return True
 
     def close(self) -> None:
-        """Write what is queued and the tables; calling it again does nothing."""
+        """Write what is queued; calling it again does nothing."""
         try:
             while self._waiting:
                 self._finish_one()
-            self._checkpoint()
         finally:
             self._pool.shutdown(cancel_futures=True)
+            self.writer.close()
 
     def _finish_one(self) -> None:
         with self._explained():
             self._waiting.popleft().result()
         self.frames += 1
 
-    def _checkpoint(self) -> None:
-        start = time.perf_counter()
-        with self._explained():
-            self.writer.close()
-        end = time.perf_counter()
-        self._next_checkpoint = end + max(CHECKPOINT_SECONDS, 20 * (end - start))
-
     def _explained(self) -> _Explained:
         return _Explained(self)
 
 
 class _Explained:
-    """Turns an OSError into the package's error, after dropping what is still queued."""
+    """Turns an OSError, also one that was told already, into the package's error, after dropping what is still queued."""
 
     def __init__(self, recorder: FrameRecorder) -> None:
         self._recorder = recorder
@@ -119,15 +109,16 @@ class _Explained:
         pass
 
     def __exit__(self, kind, error, trace) -> None:
-        if not isinstance(error, OSError):
+        cause = error if isinstance(error, OSError) else error.__cause__ if isinstance(error, AdaptiveFaceError) else None
+        if not isinstance(cause, OSError):
             return
         recorder = self._recorder
         while recorder._waiting:
             future = recorder._waiting.popleft()
             recorder.frames += not future.cancel() and future.exception() is None
-        reason, path = error.strerror or str(error), recorder.writer.path
         raise RecordingError(
-            f"{path}: {reason} after {recorder.frames} frames, which are kept; free some space or name another folder"
+            f"{recorder.writer.path}: {reason(cause)} after {recorder.frames} frames, which are kept; free some space or "
+            "name another folder"
         ) from error
 
 
@@ -178,7 +169,7 @@ def run_record(args) -> int:
     """``record SOURCE --out DIR [--seconds N]``."""
     from .catalogue import open_sensor
 
-    check_new(args.out)
+    check_new_folder(args.out, [args.source])
     with open_sensor(args.source) as sensor:
         print(f"{sensor.name}: recording" + (f" for {args.seconds} s" if args.seconds else "; Ctrl-C ends it"))
         print(record_sensor(sensor, args.out, args.seconds))
@@ -189,7 +180,7 @@ def run_convert(args) -> int:
     """``convert FILE --out DIR``."""
     from .catalogue import open_sensor
 
-    check_new(args.out)
+    check_new_folder(args.out, [args.file])
     if not args.file.exists():
         raise FileFormatError(f"{args.file}: no such file")
     with open_sensor(str(args.file)) as sensor:
@@ -197,14 +188,6 @@ def run_convert(args) -> int:
             raise AdaptiveFaceError(f"{args.file}: is a live sensor; use 'adaptiveface record'")
         print(record_sensor(sensor, args.out))
     return 0
-
-
-def check_new(folder: Path) -> None:
-    """Raise :class:`FileFormatError` where ``folder`` is a file or holds a recording already."""
-    if (folder / "intrinsic.json").exists():
-        raise FileFormatError(f"{folder}: already holds a recording; name another folder")
-    if folder.exists() and not folder.is_dir():
-        raise FileFormatError(f"{folder}: is a file, the name of a new folder is expected")
 
 
 def check_has_depth(sensor: LiveSensor) -> None:

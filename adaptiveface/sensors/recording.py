@@ -22,16 +22,20 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import FileFormatError, FrameError
+from ..files import GrowingTable, replacing
 from ..frame import RgbdFrame
 from .images import read_colour, read_depth, write_image
 from .intrinsics import check_rate_and_scale, intrinsics_json, read_intrinsics
 from .tables import (
+    CAMERA_COLUMNS,
+    FEATURE_COLUMNS,
+    TIMESTAMP_COLUMNS,
+    camera_row,
+    feature_rows,
     read_features,
     read_frame_cameras,
     read_timestamps,
-    write_features,
-    write_frame_cameras,
-    write_timestamps,
+    timestamp_row,
 )
 
 #: A frame without any measurement in this range (mm) shows no face: the sensor failed, or depth_scale is wrong.
@@ -118,10 +122,12 @@ class Recording:
 
 
 class RecordingWriter:
-    """Writes frames in the layout that :class:`Recording` reads; every file appears whole or not at all.
+    """Writes frames in the layout that :class:`Recording` reads; every image appears whole or not at all.
 
-    ``depth_scale`` units per metre (1 to 65,535 of them are stored); ``colour_format`` "jpg" (quality 95) or "png"
-    (lossless). Use as a context manager, or call :meth:`close`, which writes the tables.
+    The tables, timestamps.csv and (where any frame has features) features.csv, grow row by row with the frames: the folder
+    is a readable recording at any moment, and nothing of it waits in memory. ``depth_scale`` units per metre (1 to 65,535
+    of them are stored); ``colour_format`` "jpg" (quality 95) or "png" (lossless).
+    Use as a context manager, or call :meth:`close`.
     """
 
     def __init__(
@@ -139,15 +145,16 @@ class RecordingWriter:
             raise FileFormatError(f"{self.path}: already holds a recording; name another folder")
         for name in ("color", "depth"):
             (self.path / name).mkdir(parents=True, exist_ok=True)
-        self._timestamps: list[float] = []
-        self._features: dict[int, object] = {}
-        self._cameras: dict[int, Camera] = {}
+        self.reserved, self.moving_lens = 0, False
         self._write_intrinsics()
+        self._timestamps = GrowingTable(self.path / "timestamps.csv", TIMESTAMP_COLUMNS)
+        self._features = GrowingTable(self.path / "features.csv", FEATURE_COLUMNS)
+        self._cameras = GrowingTable(self.path / "intrinsics.csv", CAMERA_COLUMNS)
+        self._timestamps.append([])
 
     def _write_intrinsics(self) -> None:
-        temporary = self.path / "intrinsic.json.part"
-        temporary.write_text(intrinsics_json(self.camera, self.fps, self.depth_scale))
-        os.replace(temporary, self.path / "intrinsic.json")
+        with replacing(self.path / "intrinsic.json") as temporary:
+            temporary.write_text(intrinsics_json(self.camera, self.fps, self.depth_scale))
 
     def write(self, frame: RgbdFrame) -> int:
         """Append ``frame``; returns its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
@@ -156,22 +163,22 @@ class RecordingWriter:
         return number
 
     def reserve(self, frame: RgbdFrame) -> int:
-        """Append ``frame`` to the tables only; returns the number under which to write its images."""
+        """Append ``frame`` to the tables on the disk; returns the number under which to write its images.
+
+        The tables come first, so that a frame on the disk always has its features. Raises OSError on a full disk.
+        """
         if frame.depth.shape != (self.camera.height, self.camera.width):
             size = f"{self.camera.width} x {self.camera.height} pixels"
             raise FileFormatError(f"{self.path}: a frame of {frame.depth.shape[::-1]} pixels, the camera has {size}")
-        number = len(self._timestamps)
-        self._timestamps.append(float(frame.timestamp))
+        number = self.reserved
         if frame.features is not None:
-            self._features[number] = frame.features
+            self._features.append(feature_rows(number, frame.features))
         if frame.camera != self.camera:
-            self._cameras[number] = frame.camera
+            self._cameras.append([camera_row(number, frame.camera)])
+            self.moving_lens = True
+        self._timestamps.append([timestamp_row(number, frame.timestamp)])
+        self.reserved += 1
         return number
-
-    @property
-    def moving_lens(self) -> bool:
-        """Whether a frame's camera was another one than the first's, so that intrinsics.csv holds it."""
-        return bool(self._cameras)
 
     def write_images(self, number: int, frame: RgbdFrame) -> None:
         """Write the images of a reserved ``frame``; several threads may do so at a time."""
@@ -182,12 +189,9 @@ class RecordingWriter:
             write_image(self.path / "color" / f"{number:05d}.{self.colour_format}", frame.colour)
 
     def close(self) -> None:
-        """Write timestamps.csv and, where any frame had features or another camera, features.csv and intrinsics.csv."""
-        write_timestamps(self.path / "timestamps.csv", self._timestamps)
-        if self._features:
-            write_features(self.path / "features.csv", self._features)
-        if self._cameras:
-            write_frame_cameras(self.path / "intrinsics.csv", self._cameras)
+        """Give the tables back; everything is on the disk already. A second time does nothing."""
+        for table in (self._timestamps, self._features, self._cameras):
+            table.close()
 
     def __enter__(self) -> RecordingWriter:
         return self

@@ -4,20 +4,27 @@ intrinsics.csv (frame,fx,fy,cx,cy)."""
 from __future__ import annotations
 
 import csv
-import math
-import os
-from collections.abc import Iterator, Mapping, Sequence
+import io
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from ..camera import Camera
-from ..errors import FileFormatError
+from ..errors import FileFormatError, abbreviated
+from ..files import read_bytes
 from ..frame import FEATURE_IDS, Features2D
 from ..timing import FrameTimes, frame_times
 from .intrinsics import camera_of
 
-_MAX_BYTES = 512 << 20
+TIMESTAMP_COLUMNS = ("frame", "timestamp")
+CAMERA_COLUMNS = ("frame", "fx", "fy", "cx", "cy")
+FEATURE_COLUMNS = ("frame", "feature", "u", "v", "confidence")
+#: A table may name so many frames, whatever the number of images: what is left when a take is cut.
+_FREE_FRAMES, _MOST_PER_FRAME = 20_000, 4
+_MAX_LINE_BYTES = 100
+#: What a clock may show: nanoseconds since 1970 are 1.7e18.
+_MAX_SECONDS = 1e19
 _SLOT = {int(feature): slot for slot, feature in enumerate(FEATURE_IDS)}
 
 
@@ -28,10 +35,11 @@ def read_timestamps(path: Path, frames: range, fps: float) -> FrameTimes:
     """
     known = {}
     if path.exists():
-        for line, (frame, timestamp) in _rows(path, ("frame", "timestamp")):
+        for line, (frame, timestamp) in _rows(path, TIMESTAMP_COLUMNS, _most_frames(frames)):
             seconds = _float(path, line, "timestamp", timestamp)
-            if not math.isfinite(seconds):
-                raise FileFormatError(f"{path}: line {line}: timestamp = {timestamp} is not a finite number")
+            if not abs(seconds) <= _MAX_SECONDS:
+                given = f"timestamp = {abbreviated(timestamp)}"
+                raise FileFormatError(f"{path}: line {line}: {given} is no time, nor one in milli- to nanoseconds")
             known[_int(path, line, "frame", frame) - frames.start] = seconds
     return frame_times(known, len(frames), fps, str(path))
 
@@ -41,13 +49,13 @@ def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
     if not path.exists():
         return None
     found: dict[int, Features2D] = {}
-    for line, (frame, feature, u, v, confidence) in _rows(path, ("frame", "feature", "u", "v", "confidence")):
+    for line, (frame, feature, u, v, confidence) in _rows(path, FEATURE_COLUMNS, 68 * _most_frames(frames)):
         number, identifier = _int(path, line, "frame", frame), _int(path, line, "feature", feature)
         if not 0 <= identifier < 68:
             raise FileFormatError(f"{path}: line {line}: feature {identifier} is not an iBUG-68 number (0 to 67)")
         trust = _float(path, line, "confidence", confidence)
         if not 0 <= trust <= 1:
-            raise FileFormatError(f"{path}: line {line}: confidence = {confidence} is not between 0 and 1")
+            raise FileFormatError(f"{path}: line {line}: confidence = {abbreviated(confidence)} is not between 0 and 1")
         pixel = (_float(path, line, "u", u), _float(path, line, "v", v))
         if number not in frames or identifier not in _SLOT:
             continue
@@ -66,73 +74,73 @@ def read_frame_cameras(path: Path, frames: range, camera: Camera) -> dict[int, C
     if not path.exists():
         return {}
     cameras = {}
-    for line, (frame, *cells) in _rows(path, ("frame", "fx", "fy", "cx", "cy")):
+    for line, (frame, *cells) in _rows(path, CAMERA_COLUMNS, _most_frames(frames)):
         number = _int(path, line, "frame", frame)
-        values = (_float(path, line, name, cell) for name, cell in zip(("fx", "fy", "cx", "cy"), cells, strict=True))
+        values = (_float(path, line, name, cell) for name, cell in zip(CAMERA_COLUMNS[1:], cells, strict=True))
         known = camera_of(f"{path}: line {line}", (camera.width, camera.height), tuple(values))
         if number in frames:
             cameras[number] = known
     return cameras
 
 
-def write_frame_cameras(path: Path, cameras: Mapping[int, Camera]) -> None:
-    """One row per frame."""
-    rows = ((frame, *(f"{value:.9g}" for value in (c.fx, c.fy, c.cx, c.cy))) for frame, c in cameras.items())
-    _write(path, ("frame", "fx", "fy", "cx", "cy"), rows)
+def camera_row(frame: int, camera: Camera) -> tuple:
+    """The row of a frame in intrinsics.csv."""
+    return frame, *(f"{value:.9g}" for value in (camera.fx, camera.fy, camera.cx, camera.cy))
 
 
-def write_timestamps(path: Path, timestamps: Sequence[float]) -> None:
-    """One row per frame, microseconds kept."""
-    _write(path, ("frame", "timestamp"), ((i, f"{t:.6f}") for i, t in enumerate(timestamps)))
+def timestamp_row(frame: int, seconds: float) -> tuple:
+    """The row of a frame in timestamps.csv, microseconds kept."""
+    return frame, f"{float(seconds):.6f}"
 
 
-def write_features(path: Path, features: Mapping[int, Features2D]) -> None:
-    """One row per feature that was seen."""
-    rows = (
+def feature_rows(frame: int, seen: Features2D) -> list[tuple]:
+    """The rows of a frame in features.csv: one per feature that was seen."""
+    return [
         (frame, int(FEATURE_IDS[slot]), f"{u:.4f}", f"{v:.4f}", f"{seen.confidence[slot]:.4f}")
-        for frame, seen in features.items()
         for slot, (u, v) in enumerate(seen.pixels)
         if seen.valid[slot]
-    )
-    _write(path, ("frame", "feature", "u", "v", "confidence"), rows)
+    ]
 
 
-def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of every row below the header ``columns``."""
-    if path.stat().st_size > _MAX_BYTES:
-        raise FileFormatError(f"{path}: {path.stat().st_size >> 20} MiB are too many")
+def _rows(path: Path, columns: tuple[str, ...], most: int) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of every row below the header ``columns``; at most ``most`` rows are read.
+
+    A last line that a killed writer broke off is passed over.
+    """
+    content = read_bytes(path, _MAX_LINE_BYTES * (most + 2))
+    lines = max(content.count(b"\n"), content.count(b"\r"))
+    if lines > most + 1:
+        raise FileFormatError(f"{path}: {lines} lines; at most {most} fit the number of frames")
+    whole, last, line = content.endswith((b"\n", b"\r")), lines + 1, 0
     try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            header = tuple(cell.strip().lower() for cell in next(reader, ()))
-            if header != columns:
-                raise FileFormatError(f"{path}: the first line is not '{','.join(columns)}'")
-            for cells in reader:
-                if not cells:
-                    continue
-                if len(cells) != len(columns):
-                    raise FileFormatError(f"{path}: line {reader.line_num} has {len(cells)} values, not {len(columns)}")
-                yield reader.line_num, cells
-    except (csv.Error, UnicodeDecodeError, OSError) as error:
+        reader = csv.reader(io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline=""))
+        header = tuple(cell.strip().lower() for cell in next(reader, ()))
+        if header != columns:
+            raise FileFormatError(f"{path}: the first line is not '{','.join(columns)}'")
+        for cells in reader:
+            line = reader.line_num
+            if not cells or (len(cells) < len(columns) and not whole and line == last):
+                continue
+            if len(cells) != len(columns):
+                raise FileFormatError(f"{path}: line {line} has {len(cells)} values, not {len(columns)}")
+            yield line, cells
+    except (csv.Error, UnicodeDecodeError) as error:
         raise FileFormatError(f"{path}: not readable as a table ({error})") from None
+
+
+def _most_frames(frames: range) -> int:
+    return _FREE_FRAMES + _MOST_PER_FRAME * len(frames)
 
 
 def _float(path: Path, line: int, name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise FileFormatError(f"{path}: line {line}: {name} = {text[:40]!r} is not a number") from None
+        raise FileFormatError(f"{path}: line {line}: {name} = {abbreviated(text)!r} is not a number") from None
 
 
 def _int(path: Path, line: int, name: str, text: str) -> int:
     value = _float(path, line, name, text)
     if not abs(value) < 1e9 or value != int(value):
-        raise FileFormatError(f"{path}: line {line}: {name} = {text[:40]!r} is not a frame or feature number")
+        raise FileFormatError(f"{path}: line {line}: {name} = {abbreviated(text)!r} is not a frame or feature number")
     return int(value)
-
-
-def _write(path: Path, header: tuple[str, ...], rows: Iterator[tuple]) -> None:
-    temporary = path.with_name(path.name + ".part")
-    with open(temporary, "w", newline="", encoding="utf-8") as stream:
-        csv.writer(stream).writerows([header, *rows])
-    os.replace(temporary, path)

@@ -14,6 +14,7 @@ from typing import ClassVar
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, TrackingError
 from ..face_model import embedded_face_model
+from ..files import check_output
 from ..live.recorder import LiveRecorder
 from ..live.run import BUILDING, CLOSED, FAILED, OPENING, SCANNING, TRACKING, LiveRun
 from ..live.session import LiveResult
@@ -162,7 +163,7 @@ class LiveView:
         path = path or self.controls.file.value.strip() or "actor.npz"
         if self.run is None or self.run.actor is None:
             raise AdaptiveFaceError(f"{path}: there is no actor to save yet")
-        self.run.actor.save(path)
+        self.run.actor.save(check_output(Path(path), "actor"))
         self._say(f"saved {path}")
 
     async def until(self, condition: Callable[[LiveView], bool], timeout: float = 120.0) -> LiveView:

@@ -19,6 +19,7 @@ from ..actor import Actor
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, FileFormatError
 from ..evaluation import GroundTruth, TruthFrame
+from ..files import replacing
 from ..frame import Features2D, RgbdFrame
 from ..npz import Field, load_checked
 from ..parameters import Parameters
@@ -128,10 +129,8 @@ def _synthetic(source: str, neutral_frames: int, count: int, cache: Path) -> Ses
     except FileFormatError:  # not there yet, or damaged: made anew
         data = _render(source, neutral_frames, count)
         cache.mkdir(parents=True, exist_ok=True)
-        part = data_file.with_suffix(f".{os.getpid()}.part")
-        with open(part, "wb") as stream:
+        with replacing(data_file, shared=True) as part, open(part, "wb") as stream:
             np.savez(stream, **data)
-        os.replace(part, data_file)
         actor_file.unlink(missing_ok=True)
     return _session(source, data, neutral_frames, actor_file)
 

@@ -1,0 +1,68 @@
+"""Raw pictures to ffmpeg through a pipe; how it ended is looked at, and what it said is told."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import AdaptiveFaceError
+
+#: Longest that ffmpeg may take to finish a film once it has all pictures, s.
+FINISH_SECONDS = 600.0
+
+
+def ffmpeg_program() -> str | None:
+    """The ffmpeg that ``imageio-ffmpeg`` (extra ``video``) brings or finds; None without it."""
+    try:
+        import imageio_ffmpeg
+
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        return None
+
+
+def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float) -> None:
+    """Write RGB ``frames`` (height, width, 3) uint8 of ``size`` (width, height) as H.264.
+
+    Raises :class:`AdaptiveFaceError` with ffmpeg's own reason, OSError where the disk is full. On Ctrl-C and any other
+    failure ffmpeg is ended before it could finish the film.
+    """
+    command = [
+        program, "-y", "-hide_banner", "-nostats", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+        "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.9g}", "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p",
+        "-crf", "20", "-movflags", "+faststart", os.fspath(path.absolute()),
+    ]  # fmt: skip
+    apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
+    with tempfile.TemporaryFile() as said:
+        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **apart)
+        try:
+            _feed(child, frames)
+            status = child.wait(FINISH_SECONDS)
+        except BaseException:
+            child.kill()
+            raise
+        finally:
+            child.wait()
+        said.seek(0)
+        text = said.read(1 << 16).decode(errors="replace")
+    if "No space left on device" in text:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    if status:
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        why = lines[-1][:200] if lines else "it said nothing"
+        raise AdaptiveFaceError(f"ffmpeg ended with status {status}: {why}")
+
+
+def _feed(child: subprocess.Popen, frames: Iterable[np.ndarray]) -> None:
+    try:
+        for frame in frames:
+            child.stdin.write(np.ascontiguousarray(frame))
+        child.stdin.close()
+    except BrokenPipeError:  # ffmpeg has ended, and what it said is why
+        pass

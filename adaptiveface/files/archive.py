@@ -1,0 +1,67 @@
+"""Zip archives that may come from anywhere: what they declare is judged before memory is taken for it."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+
+from ..errors import FileFormatError
+from .bounded import open_regular, size
+
+#: A member may unpack to this many bytes without question, and beyond it to so many for every byte that it takes in the
+#: archive: what is measured shrinks to a tenth, a bomb of zeros to a thousandth.
+FREE_BYTES, MOST_PER_BYTE = 16 << 20, 100
+
+
+class _Stream(io.BufferedReader):
+    """Refuses to hand out more than ``limit`` bytes at once: zipfile takes the list of members in one piece."""
+
+    limit = None
+
+    def read(self, count: int | None = -1) -> bytes:
+        """As any stream."""
+        if self.limit is not None and count is not None and count > self.limit:
+            raise FileFormatError(f"{size(count)} for the list of its members; at most {size(self.limit)} are read")
+        return super().read(count)
+
+
+class Archive(zipfile.ZipFile):
+    """A :class:`zipfile.ZipFile` to read from, which raises :class:`FileFormatError` naming the file.
+
+    ``max_bytes`` of the whole file, ``max_directory_bytes`` of the list of its members.
+    """
+
+    def __init__(self, path: str | os.PathLike, max_bytes: int, max_directory_bytes: int = 1 << 20) -> None:
+        self.path = Path(path)
+        self._stream = _Stream(open_regular(path, max_bytes).detach())
+        self._stream.limit = max(max_directory_bytes, 1 << 17)
+        try:
+            super().__init__(self._stream)
+        except FileFormatError as error:
+            raise FileFormatError(f"{self.path}: {error}") from None
+        except Exception as error:  # damaged archives raise anything, from BadZipFile to struct.error
+            raise FileFormatError(f"{self.path}: not a readable zip archive ({str(error)[:120]})") from None
+        finally:
+            if self.fp is None:
+                self._stream.close()
+        self._stream.limit = None
+
+    def close(self) -> None:
+        """Close the file too, which zipfile does not do with a stream."""
+        with suppress(AttributeError):  # it was never opened
+            super().close()
+            self._stream.close()
+
+    def member(self, name: str) -> zipfile.ZipInfo:
+        """The entry ``name``; raises :class:`FileFormatError` where it unpacks to far more than its size explains."""
+        try:
+            entry = self.getinfo(name)
+        except KeyError:
+            raise FileFormatError(f"{self.path}: '{name}' is missing") from None
+        if entry.file_size > FREE_BYTES + MOST_PER_BYTE * min(entry.compress_size, os.fstat(self._stream.fileno()).st_size):
+            grown = f"{size(entry.file_size)} from {size(entry.compress_size)}"
+            raise FileFormatError(f"{self.path}: '{name}' unpacks to {grown}, far more than its size explains")
+        return entry

@@ -1,0 +1,155 @@
+"""What may be written where: refused before the work begins, never after an hour of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from ..errors import AdaptiveFaceError
+from .archive import Archive
+from .atomic import check_holds_only
+from .bounded import open_regular
+
+_HEAD_BYTES = 512
+
+
+def _npz(*members: str) -> Callable[[Path], bool]:
+    def holds(path: Path) -> bool:
+        with Archive(path, 1 << 62) as archive:
+            return {f"{member}.npy" for member in members} <= set(archive.namelist())
+
+    return holds
+
+
+def _begins(*starts: bytes, at: int = 0) -> Callable[[Path], bool]:
+    def begins(path: Path) -> bool:
+        with open_regular(path, 1 << 62) as stream:
+            head = stream.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")[at:].lower()
+        return head.startswith(starts)
+
+    return begins
+
+
+#: Kind of file -> how its name may end, what to call it, and whether the file at a path is one.
+KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
+    "actor": ((".npz",), "an actor", _npz("neutral", "blendshapes", "feature_triangles")),
+    "result": ((".npz",), "a result", _npz("vertices", "coefficients", "stage_ms")),
+    "glb": ((".glb",), "a glTF file", _begins(b"gltf")),
+    "usd": ((".usdc", ".usd", ".usda", ".usdz"), "a USD file", _begins(b"pxr-usdc", b"#usda", b"pk\3\4")),
+    "usdz": ((".usdz",), "a USDZ package", _begins(b"pk\3\4")),
+    "arkit-csv": ((".csv",), "a table of ARKit curves", _begins(b"timecode,")),
+    "mp4": ((".mp4",), "an MP4 video", _begins(b"ftyp", at=4)),
+    "gif": ((".gif",), "a GIF", _begins(b"gif8")),
+    "html": ((".html",), "a report", _begins(b"<!doctype html")),
+}
+
+
+def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
+    """Refuse the path of an output file that cannot or must not be written; returns it.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file is to be.
+    kind : str
+        One of :data:`KINDS`. A file of another kind that lies there already is not replaced.
+    inputs : iterable of path-like or None
+        What the same command reads. The output may be none of these, by whatever name or link.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        Naming the path and the reason.
+    """
+    suffixes, name, is_one = KINDS[kind]
+    if path.suffix.lower() not in suffixes:
+        raise AdaptiveFaceError(f"{path}: the output's name must end in {' or '.join(suffixes)}")
+    if path.is_dir():
+        raise AdaptiveFaceError(f"{path}: is a folder, the name of a file is expected")
+    folder = Path(os.path.realpath(path)).parent
+    if not folder.is_dir():
+        raise AdaptiveFaceError(f"{path}: the folder {folder} does not exist")
+    check_no_input(path, inputs)
+    if path.exists():
+        _check_replaceable(path, name, is_one)
+    if not os.access(folder, os.W_OK):
+        raise AdaptiveFaceError(f"{path}: no permission to write in the folder {folder}")
+    return path
+
+
+def check_output_folder(path: Path, ours: Callable[[str], bool], inputs: Iterable[object] = ()) -> Path:
+    """Refuse the path of an output folder: a file, an input, or a folder with files other than ``ours(name)``."""
+    check_no_input(path, inputs)
+    check_holds_only(path, ours)
+    _check_can_make(path)
+    return path
+
+
+def check_new_folder(path: Path, inputs: Iterable[object] = ()) -> Path:
+    """Refuse the path of an output folder that holds any file already."""
+    check_no_input(path, inputs)
+    if path.exists() and not path.is_dir():
+        raise AdaptiveFaceError(f"{path}: is a file, the name of a new folder is expected")
+    held = next((Path(at) / files[0] for at, _, files in os.walk(path) if files), None)
+    if held is not None:
+        raise AdaptiveFaceError(f"{path}: holds files already ({held.relative_to(path)}); name a new folder")
+    _check_can_make(path)
+    return path
+
+
+def check_folder(path: Path) -> Path:
+    """Refuse the path of a folder that is a file, or lies where none can be made; any files in it stay."""
+    if path.exists() and not path.is_dir():
+        raise AdaptiveFaceError(f"{path}: is a file, the name of a folder is expected")
+    _check_can_make(path)
+    return path
+
+
+def check_no_input(path: Path, inputs: Iterable[object]) -> None:
+    """Raise :class:`AdaptiveFaceError` where ``path`` is one of the ``inputs``: the same file, by whatever name."""
+    for given in inputs:
+        texts = () if given is None else (os.fspath(given), os.fspath(given).partition(":")[2])  # "azure:FILE"
+        if any(text and _same(path, text) for text in texts):
+            raise AdaptiveFaceError(f"{path}: is also read by this command ({given}); name another output")
+
+
+def check_distinct(*paths: Path | None) -> None:
+    """Raise :class:`AdaptiveFaceError` where two outputs are the same file."""
+    seen: list[Path] = []
+    for path in filter(None, paths):
+        if any(os.path.normcase(os.path.realpath(path)) == os.path.normcase(os.path.realpath(s)) for s in seen):
+            raise AdaptiveFaceError(f"{path}: is the name of two outputs")
+        seen.append(path)
+
+
+def _same(path: Path, other: str) -> bool:
+    try:
+        return os.path.samefile(path, other)
+    except (OSError, ValueError):  # one of them is not there
+        return False
+
+
+def _check_replaceable(path: Path, name: str, is_one: Callable[[Path], bool]) -> None:
+    """Raise unless the file that is there may be replaced by one that is ``name``."""
+    try:
+        with open_regular(path, 1 << 62) as stream:
+            empty = not stream.read(1)
+        right = empty or is_one(path)
+    except AdaptiveFaceError:
+        right = False
+    if not right:
+        raise AdaptiveFaceError(f"{path}: what is there is not {name}; name another output, or remove it first")
+    if not os.access(path, os.W_OK):
+        raise AdaptiveFaceError(f"{path}: is write-protected; name another output")
+
+
+def _check_can_make(path: Path) -> None:
+    """Raise unless the folder is there, or can be made, and can be written."""
+    there = Path(os.path.realpath(path))
+    while not os.path.lexists(there) and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise AdaptiveFaceError(f"{path}: {there} is not a folder")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise AdaptiveFaceError(f"{path}: no permission to write in {there}")
