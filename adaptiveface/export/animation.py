@@ -45,6 +45,11 @@ class AnimatedMesh:
         return len(self.weights)
 
     @property
+    def description(self) -> str:
+        """Name, size, length and number of shapes, for people."""
+        return f"{self.name}, {size_text(self.neutral)}, {len(self)} frames, {len(self.target_names)} shapes"
+
+    @property
     def fps(self) -> float:
         """Frames per second."""
         return frame_rate(self.timestamps)
@@ -80,6 +85,11 @@ def unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return normals
 
 
+def size_text(vertices: np.ndarray) -> str:
+    """Width, height and depth of vertices (V, 3) in mm."""
+    return "{:.0f} x {:.0f} x {:.0f} mm".format(*np.ptp(vertices, axis=0))
+
+
 def view_motion(rigid: np.ndarray) -> np.ndarray:
     """(F, 4, 4) head to view frame of poses (F, 4, 4) head to camera."""
     out = np.array(rigid, float)
@@ -88,9 +98,16 @@ def view_motion(rigid: np.ndarray) -> np.ndarray:
 
 
 def character_animation(character: Character, performance: Performance) -> AnimatedMesh:
-    """A character that performs; shapes that nothing drives stay in the file with weight 0."""
+    """A character that performs; shapes that nothing drives stay in the file with weight 0.
+
+    A head that is not around the origin of its file (an avatar's stands on its body) is put there, because it turns about
+    the origin.
+    """
+    low, high = character.neutral.min(axis=0), character.neutral.max(axis=0)
+    outside = ((low > 0) | (high < 0)).any()
+    neutral = character.neutral - (low + high) / 2 if outside else character.neutral
     return AnimatedMesh(
-        character.name, character.neutral, character.triangles, character.expression_names, character.expressions,
+        character.name, neutral, character.triangles, character.expression_names, character.expressions,
         character.weights(performance.curves), increasing(performance.timestamps), view_motion(performance.rigid),
         character.colours,
     )  # fmt: skip

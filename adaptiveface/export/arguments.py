@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..retargeting import BUILT_IN, COEFFICIENTS
+from ..retargeting import BUILT_IN, COEFFICIENTS, UNITS
 
 #: format -> what the output's name ends in ("": a folder).
 FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "usd": ".usdc", "usdz": ".usdz", "mp4": ".mp4", "gif": ".gif"}
@@ -18,6 +18,9 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--character", default="actor", metavar="NAME",
                          help=f"actor (the tracked mesh itself), {', '.join(BUILT_IN)}, or a .glb, .vrm, .npz file or "
                          "folder of OBJ files with ARKit names (default: %(default)s)")  # fmt: skip
+    command.add_argument("--unit", choices=tuple(UNITS),
+                         help="unit of length of the character's file (default: metres for .glb, .gltf and .vrm; told from "
+                         "the size of the head for OBJ files)")  # fmt: skip
     command.add_argument("--format", choices=tuple(FORMATS), default="glb", help="default: %(default)s")
     command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
     command.add_argument("--coefficients", choices=COEFFICIENTS, default="resolved", help="default: %(default)s")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,14 +14,14 @@ from ..errors import ParameterError
 from ..files import check_output, check_output_folder
 from ..livelink.take import is_take
 from ..result import Result
-from ..retargeting import COEFFICIENTS
+from ..retargeting import COEFFICIENTS, UNITS
 from ..retargeting.arkit import arkit_weights
-from ..retargeting.character import Character, load_character
+from ..retargeting.character import Character, is_gltf, load_character
 from ..retargeting.correctives import character_correctives
-from ..retargeting.retarget import coverage, retarget
+from ..retargeting.retarget import Performance, coverage, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
 from ..timing import clean_times, frame_rate
-from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
+from .animation import AnimatedMesh, actor_animation, character_animation, size_text, with_correctives
 from .arguments import FORMATS
 
 
@@ -32,6 +33,12 @@ class ExportOptions:
     coefficients: str = "resolved"
     smoothing: Smoothing | None = None
     correctives: bool = False
+    unit: float | None = None
+
+    @property
+    def avatar(self) -> bool:
+        """Whether a .glb export is the character's own file with an animation added."""
+        return is_gltf(self.character) and not self.correctives
 
 
 def run_export(args: argparse.Namespace) -> int:
@@ -43,7 +50,7 @@ def run_export(args: argparse.Namespace) -> int:
         return run_take_export(args, out, _smoothing(args))
     result = _timed(Result.load(args.result), args.result)
     actor = _actor(args.actor, args.result.parent, result)
-    options = ExportOptions(args.character, args.coefficients, _smoothing(args), args.correctives)
+    options = ExportOptions(args.character, args.coefficients, _smoothing(args), args.correctives, UNITS.get(args.unit))
     if args.format == "arkit-csv":
         from .arkit_csv import write_arkit_csv
 
@@ -68,10 +75,27 @@ def run_export(args: argparse.Namespace) -> int:
         write_performance_video(out, result, meshes, source, args.turntable)
         print(f"{out}: {len(result)} frames")
         return 0
+    if args.format == "glb" and options.avatar:
+        performance = retarget(result, options.coefficients, options.smoothing, actor)
+        write_avatar(out, options, performance, lambda c: coverage(arkit_weights(result.expression_names), c))
+        return 0
     mesh = animated(result, actor, options)
     _write_mesh(out, mesh, args.format)
-    print(f"{out}: {mesh.name}, {len(mesh)} frames, {len(mesh.target_names)} shapes")
+    print(f"{out}: {mesh.description}")
     return 0
+
+
+def write_avatar(
+    out: Path, options: ExportOptions, performance: Performance, covered: Callable[[Character], list[str]]
+) -> None:
+    """The character's own file with the performance added; prints what ``covered`` says, what stays still, and its size."""
+    from .avatar import Avatar
+
+    avatar = Avatar(options.character, options.unit)
+    for line in covered(avatar.character) + avatar.write(out, performance):
+        print(line)
+    size = size_text(avatar.character.neutral) if avatar.face else "not measured"
+    print(f"{out}: {avatar.character.name}, {size}, {len(performance)} frames, {len(avatar.rig.expressions)} shapes")
 
 
 def _timed(result: Result, path: Path) -> Result:
@@ -110,7 +134,8 @@ def _output(args: argparse.Namespace) -> Path:
         from .obj_sequence import is_of_sequence
 
         return check_output_folder(out, is_of_sequence, inputs)
-    return check_output(out, args.format, inputs)
+    avatar = args.format == "glb" and is_gltf(args.character)
+    return check_output(out, "avatar" if avatar else args.format, inputs)
 
 
 def _actor(path: Path | None, folder: Path, result: Result) -> Actor | None:
@@ -127,7 +152,7 @@ def animated(result: Result, actor: Actor | None, options: ExportOptions) -> Ani
     """The animated mesh that the options ask for; says on stdout which shapes will not show."""
     if options.character == "actor":
         return actor_animation(result, actor)
-    character = load_character(options.character)
+    character = load_character(options.character, options.unit)
     for line in coverage(arkit_weights(result.expression_names), character):
         print(line)
     return animated_character(result, actor, character, options)
@@ -167,14 +192,20 @@ def demo_character_files(character: Character) -> dict[str, str]:
 
 
 def write_demo_character(name: str, result: Result, actor: Actor, source, folder: Path) -> list[Path]:
-    """``demo --character``: NAME.glb with the actor's correctives, and NAME.mp4 (half the frames) beside the report."""
+    """``demo --character``: NAME.glb and NAME.mp4 (half the frames) beside the report.
+
+    The .glb is the character's own file where it is one, else it has the actor's correctives where they can be carried.
+    """
     from .gltf import write_glb
 
     character = load_character(name)
     options = ExportOptions(name, correctives=character.shares_topology(actor.triangles))
     paths = [folder / file for file in demo_character_files(character)]
     mesh = animated_character(result, actor, character, options)
-    write_glb(paths[0], mesh)
+    if options.avatar:
+        write_avatar(paths[0], options, retarget(result, actor=actor), lambda c: list(c.notes))
+    else:
+        write_glb(paths[0], mesh)
     write_performance_video(paths[1], result, [mesh], source, step=2)
     return paths
 

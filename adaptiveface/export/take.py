@@ -9,8 +9,8 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..livelink import ARKIT_NAMES, LiveLinkTake, read_take
-from ..retargeting import BUILT_IN
-from ..retargeting.character import Character, load_character
+from ..retargeting import BUILT_IN, UNITS
+from ..retargeting.character import Character, is_gltf, load_character
 from ..retargeting.retarget import Performance, undriven
 from ..retargeting.smoothing import Smoothing
 from .animation import AnimatedMesh, character_animation
@@ -34,7 +34,13 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
         return 0
     if args.character == "actor":
         raise ParameterError(f"{args.result}: a take has no mesh of its own; --character {', '.join(BUILT_IN)} or a file")
-    character = load_character(args.character)
+    unit = UNITS.get(args.unit)
+    if args.format == "glb" and is_gltf(args.character):
+        from .command import ExportOptions, write_avatar
+
+        write_avatar(out, ExportOptions(args.character, unit=unit), performance, lambda c: take_coverage(take, c))
+        return 0
+    character = load_character(args.character, unit)
     for line in take_coverage(take, character):
         print(line)
     mesh = character_animation(character, performance)
@@ -44,7 +50,7 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
         from .command import _write_mesh
 
         _write_mesh(out, mesh, args.format)
-    print(f"{out}: {mesh.name}, {len(mesh)} frames, {len(mesh.target_names)} shapes")
+    print(f"{out}: {mesh.description}")
     return 0
 
 

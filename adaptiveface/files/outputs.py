@@ -36,6 +36,7 @@ KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
     "actor": ((".npz",), "an actor", _npz("neutral", "blendshapes", "feature_triangles")),
     "result": ((".npz",), "a result", _npz("vertices", "coefficients", "stage_ms")),
     "glb": ((".glb",), "a glTF file", _begins(b"gltf")),
+    "avatar": ((".glb", ".gltf", ".vrm"), "a glTF file", _begins(b"gltf", b"{")),
     "usd": ((".usdc", ".usd", ".usda", ".usdz"), "a USD file", _begins(b"pxr-usdc", b"#usda", b"pk\3\4")),
     "usdz": ((".usdz",), "a USDZ package", _begins(b"pk\3\4")),
     "arkit-csv": ((".csv",), "a table of ARKit curves", _begins(b"timecode,")),

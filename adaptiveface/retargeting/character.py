@@ -41,7 +41,8 @@ class Character:
     expression_names (E,) as in the file; expressions (E, V, 3) mm, displacements at full activation; colours (V, 3)
     uint8 sRGB or None; skin: the first ``skin`` vertices are the skin, in the order of the tracking mesh where the
     character was made from it (0: another topology); notes: what the loader left out or merged, one line each; mix
-    (E, 52): weights of the ARKit curves in each expression, None where every expression follows the curve of its name.
+    (E, 52): weights of the ARKit curves in each expression, None where every expression follows the curve of its name;
+    parts: expressions that nothing drives by themselves, but that driven ones are made of.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Character:
     skin: int = 0
     notes: tuple[str, ...] = ()
     mix: np.ndarray | None = None
+    parts: tuple[str, ...] = ()
 
     def shape(self, weights: np.ndarray) -> np.ndarray:
         """(V, 3) mm, or (F, V, 3), for weights (E,) or (F, E) of the expressions."""
@@ -135,8 +137,11 @@ def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Char
                      expressions, data.get("colours"), skin, mix=data.get("mix"))  # fmt: skip
 
 
-def load_character(source: str | os.PathLike) -> Character:
+def load_character(source: str | os.PathLike, unit: float | None = None) -> Character:
     """A built-in character by name, or one from a file or folder: .npz, .glb, .gltf, .vrm, a folder of OBJ files.
+
+    ``unit``: millimetres per unit of length of the file or folder; None: what its format says, and for OBJ files what
+    makes the size that of a head.
 
     Raises :class:`FileFormatError` naming the file and the reason; :class:`ParameterError` for an unknown name.
     """
@@ -147,17 +152,23 @@ def load_character(source: str | os.PathLike) -> Character:
     if path.is_dir():
         from .obj_folder import load_obj_folder
 
-        return load_obj_folder(path)
-    if path.suffix.lower() in (".glb", ".gltf", ".vrm"):
+        return load_obj_folder(path, unit)
+    if is_gltf(text):
         from .gltf_character import load_gltf_character
 
-        return load_gltf_character(path)
+        return load_gltf_character(path, unit)
     if path.suffix.lower() == ".npz":
         return load_character_npz(path)
     raise ParameterError(
         f"character '{text[:200]}': neither built in ({', '.join(BUILT_IN)}) nor a .glb, .gltf, .vrm or .npz file or a "
         "folder of OBJ files"
     )
+
+
+def is_gltf(source: str | os.PathLike) -> bool:
+    """Whether a character is a .glb, .gltf or .vrm file."""
+    path = Path(source)
+    return os.fspath(source) not in BUILT_IN and path.suffix.lower() in (".glb", ".gltf", ".vrm") and not path.is_dir()
 
 
 def average_character(model: FaceModel | None = None) -> Character:

@@ -48,6 +48,12 @@ class FaceRig:
         """(F, E) weights of the expressions for ARKit curves (F, 52)."""
         return np.clip(np.asarray(curves, float) @ np.array([e.row for e in self.expressions]).T, 0.0, 1.0)
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of expressions that nothing drives by themselves, and whose targets driven ones move."""
+        moved = {bind for e in self.expressions if e.driven for bind in e.binds}
+        return tuple(e.name for e in self.expressions if not e.driven and moved & e.binds.keys())
+
     def driven_targets(self, mesh: int) -> list[int]:
         """Morph targets of a mesh that a curve drives."""
         return sorted({target for e in self.expressions if e.driven for m, target in e.binds if m == mesh})

@@ -71,3 +71,14 @@ def _words(name: str) -> set[str]:
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|[^A-Za-z]+", " ", name.rsplit(":", 1)[-1][:256]).lower()
     words = " ".join(_JOINED.get(word, word) for word in spaced.split()).split()
     return {_SIDES.get(word, word) for word in words if word not in _RIG}
+
+
+def find_eyes(nodes: Nodes, candidates: set[int]) -> dict[str, int]:
+    """"left eye" and "right eye" among nodes that are no bones, by their names."""
+    found: dict[str, int] = {}
+    for number in sorted(candidates):
+        words = _words(nodes.name(number))
+        for side in ("left", "right"):
+            if side in words and words - {side} in _EYES:
+                found.setdefault(f"{side} eye", number)
+    return found

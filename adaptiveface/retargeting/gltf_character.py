@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from .arkit import ARKIT_NAMES
 from .character import Character
-from .face_rig import FaceRig, face_rig
+from .face_rig import Expression, FaceRig, face_rig
 from .gltf_bones import find_bones
 from .gltf_container import extensions
 from .gltf_file import GltfFile
 from .gltf_nodes import Nodes
 from .gltf_pieces import Piece, read_pieces
 from .units import LARGEST_HEAD, METRES, size_note
+
+_GAZE = np.array([name.startswith("eyeLook") for name in ARKIT_NAMES])
 
 
 def load_gltf_character(path: str | Path, unit: float | None = None) -> Character:
@@ -39,16 +43,37 @@ def load_gltf_character(path: str | Path, unit: float | None = None) -> Characte
     file = GltfFile(Path(path))
     with file.errors():
         rig = face_rig(file)
-        return open_character(file, Nodes(file), rig, METRES if unit is None else unit)
+        face = open_face(file, Nodes(file), rig, METRES if unit is None else unit)
+        return replace(face.character, notes=face.character.notes + face.left_out)
 
 
-def open_character(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> Character:
-    """The character in a file whose rig and nodes are known; raises as :func:`load_gltf_character` does."""
+@dataclass
+class OpenFace:
+    """A character, and what its meshes tell about the nodes that carry it.
+
+    left_out: what a view of the character does not show, one line each; nodes: those whose meshes belong to the head;
+    alone: the scene shows nothing else; middle (3,) of the head in the file's unit; eyes: nodes that hold vertices which a
+    gaze target moves; carrier: the joint that holds most of what moves in the face, None without a skin.
+    """
+
+    character: Character
+    left_out: tuple[str, ...]
+    nodes: set[int]
+    alone: bool
+    middle: np.ndarray
+    eyes: set[int]
+    carrier: int | None
+
+
+def open_face(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> OpenFace:
+    """Open the meshes of a file whose rig and nodes are known; raises as :func:`load_gltf_character` does."""
     file.compressed.check()
     pieces = read_pieces(file, nodes)
     if not any(piece.has_targets for piece in pieces):
         raise file.error("no mesh of its scene has morph targets; export it with its shape keys (blend shapes)")
+    everything = {piece.node for piece in pieces}
     pieces, notes = _near_the_face(_heads(file, nodes, pieces, unit))
+    holders = _Holders()
     turn = unit * np.array([-1.0, 1.0, -1.0] if looks_back(file) else [1.0, 1.0, 1.0])
     starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
     file.spend(3 * int(starts[-1]) * len(rig.expressions), zeros=True)
@@ -63,15 +88,46 @@ def open_character(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> C
                 neutral[part] += rest[target] * shape
             for expression, weight in users.get(target, ()):
                 shapes[expression, part] += weight * shape
+                holders.count(piece, shape, rig.expressions[expression])
     triangles = np.concatenate([s + p.triangles for s, p in zip(starts, pieces, strict=False)]).astype(np.int32)
     colours = None
     if any(piece.colours is not None for piece in pieces):
         colours = np.concatenate([_colours(piece) for piece in pieces])
+    middle = (neutral.min(axis=0) + neutral.max(axis=0)) / 2
     neutral *= turn
     shapes *= turn
-    notes += size_note(file.path, float(np.ptp(neutral[:, 1])))
-    return Character(file.path.stem, neutral, triangles, tuple(e.name for e in rig.expressions), shapes, colours,
-                     notes=(*rig.notes, *notes), mix=np.array([e.row for e in rig.expressions]))  # fmt: skip
+    character = Character(
+        file.path.stem, neutral, triangles, tuple(e.name for e in rig.expressions), shapes, colours,
+        notes=(*rig.notes, *size_note(file.path, float(np.ptp(neutral[:, 1])))),
+        mix=np.array([e.row for e in rig.expressions]), parts=rig.parts,
+    )  # fmt: skip
+    head = {piece.node for piece in pieces}
+    return OpenFace(character, tuple(notes), head, head == everything, middle, holders.eyes, holders.carrier())
+
+
+class _Holders:
+    """Which joints hold what moves in the face, and which hold what the gaze moves."""
+
+    def __init__(self) -> None:
+        self.eyes: set[int] = set()
+        self._held: dict[int, float] = {}
+
+    def count(self, piece: Piece, shape: np.ndarray, expression: Expression) -> None:
+        """Add what the displacements ``shape`` (V, 3) of an expression move."""
+        if piece.joints is None or not expression.driven:
+            return
+        length = np.linalg.norm(shape, axis=1)
+        moving = length > 0.05 * max(length.max(initial=0.0), 1e-9)
+        for joints, shares in zip(piece.joints[moving].T, piece.shares[moving].T, strict=True):
+            for joint in np.unique(joints[shares > 0]):
+                self._held[joint] = self._held.get(joint, 0.0) + float(shares[joints == joint].sum())
+        if expression.row[_GAZE].any():
+            strongest = piece.joints[moving, piece.shares[moving].argmax(axis=1)]
+            self.eyes |= set(np.unique(strongest).tolist())
+
+    def carrier(self) -> int | None:
+        """The joint that holds most."""
+        return int(max(self._held, key=self._held.__getitem__)) if self._held else None
 
 
 def looks_back(file: GltfFile) -> bool:
@@ -130,7 +186,7 @@ def _near_the_face(pieces: list[Piece]) -> tuple[list[Piece], list[str]]:
         if piece.has_targets or ((middle > low - margin) & (middle < high + margin)).all():
             kept.append(piece)
     left = len(pieces) - len(kept)
-    return kept, [f"{left} meshes without morph targets left out of views of the head"] if left else []
+    return kept, [f"{left} meshes without morph targets left out"] if left else []
 
 
 def _colours(piece: Piece) -> np.ndarray:

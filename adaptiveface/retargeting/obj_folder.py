@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import FileFormatError
 from .arkit import canonical_name
 from .character import Character, make_character
-from .units import to_head_frame
+from .units import size_note, to_head_frame
 
 MAX_FILE_BYTES = 256 << 20
 MAX_FILES = 1000
@@ -66,8 +66,8 @@ def _vertices(path: Path, lines: list[str]) -> np.ndarray:
     return vertices
 
 
-def load_obj_folder(folder: str | Path) -> Character:
-    """The character in a folder of OBJ files; the unit (mm, cm, m) is told from the size of the head.
+def load_obj_folder(folder: str | Path, unit: float | None = None) -> Character:
+    """The character in a folder of OBJ files; without ``unit`` (mm per unit) it is told from the size of the head.
 
     Raises :class:`FileFormatError`: no neutral, no shape, a shape with another number of vertices, bad values.
     """
@@ -94,9 +94,10 @@ def load_obj_folder(folder: str | Path) -> Character:
         shapes.append((path.stem, vertices - neutral))
     skipped = len(paths) - 1 - len(shape_paths)
     notes = [f"{skipped} identity shapes left out"] if skipped else []
-    neutral, scale, note = to_head_frame(neutral, None)
+    neutral, scale, note = to_head_frame(neutral, unit)
     scaled = [(name, scale * displacement) for name, displacement in shapes]
-    return make_character(folder.name, neutral, triangles, scaled, notes=[*notes, *note])
+    notes += note + size_note(folder, float(np.ptp(neutral[:, 1])))
+    return make_character(folder.name, neutral, triangles, scaled, notes=notes)
 
 
 def _key(path: Path) -> str:

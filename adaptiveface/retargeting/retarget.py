@@ -96,6 +96,6 @@ def coverage(table: ArkitWeights, character: Character) -> list[str]:
 
 def undriven(character: Character) -> list[str]:
     """One line with the shapes that nothing drives, the first dozen by name."""
-    names = character.unknown
+    names = [name for name in character.unknown if name not in character.parts]
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return [f"{character.name} has shapes that nothing drives: {', '.join(names[:12])}{more}"] if names else []

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Millimetres per unit, as ``--unit`` names them; glTF's unit is the metre.
-UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+from . import UNITS
+
+#: Millimetres in glTF's unit of length.
 METRES = UNITS["m"]
 #: Heights of a head, with neck or bust, that need no word, mm.
 SMALLEST_HEAD, LARGEST_HEAD = 80.0, 600.0

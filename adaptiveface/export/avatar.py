@@ -1,0 +1,100 @@
+"""A user's own avatar that performs: the file as it was, with an animation added."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..files import check_no_input
+from ..retargeting.character import Character
+from ..retargeting.face_rig import FaceRig, face_rig
+from ..retargeting.gltf_character import OpenFace, open_face, rest_weights
+from ..retargeting.gltf_container import extensions
+from ..retargeting.gltf_file import GltfFile
+from ..retargeting.gltf_nodes import Nodes
+from ..retargeting.retarget import Performance
+from ..retargeting.units import METRES
+from ..timing import increasing
+from .avatar_motion import avatar_motion, local_rotation
+from .gltf_edit import GltfEdit
+
+#: Name of the animation that is added.
+ANIMATION = "performance"
+
+
+class Avatar:
+    """A .glb, .gltf or .vrm file that can perform.
+
+    character: its face; without vertices where the meshes stay closed (compressed, and the library that opens them is not
+    installed), which its notes say. Raises :class:`FileFormatError`: malformed, nothing that a curve could drive.
+    """
+
+    def __init__(self, path: str | Path, unit: float | None = None) -> None:
+        self.unit = METRES if unit is None else unit
+        self.file = GltfFile(Path(path))
+        self.face: OpenFace | None = None
+        with self.file.errors():
+            self.rig: FaceRig = face_rig(self.file)
+            self.nodes = Nodes(self.file)
+            closed = self.file.compressed.obstacle()
+            if closed is None:
+                self.face = open_face(self.file, self.nodes, self.rig, self.unit)
+        self.character = self._closed(closed) if closed else self.face.character
+
+    def _closed(self, reason: str) -> Character:
+        note = f"{self.file.path}: its meshes are passed on unopened; it {reason}"
+        names = tuple(expression.name for expression in self.rig.expressions)
+        return Character(
+            self.file.path.stem, np.zeros((0, 3)), np.zeros((0, 3), np.int32), names, np.zeros((len(names), 0, 3)),
+            notes=(*self.rig.notes, note), mix=np.array([e.row for e in self.rig.expressions]), parts=self.rig.parts,
+        )  # fmt: skip
+
+    def write(self, out: Path, performance: Performance) -> list[str]:
+        """Write the file with the performance added, whole or not at all; returns what stays still and why.
+
+        ``out`` ends in .glb, .gltf or, for a VRM file, .vrm. Raises :class:`ParameterError` for other names and for the
+        avatar's own file, :class:`AdaptiveFaceError` where it cannot be written.
+        """
+        self._check(Path(out))
+        with self.file.errors():
+            edit = GltfEdit(self.file, out)
+            faces = [n for n in self.nodes.shown if self.rig.driven_targets(self.nodes.entries[n].get("mesh", -1))]
+            if not faces:
+                raise self.file.error("the meshes of its scene have no morph targets that a curve could drive")
+            motion = avatar_motion(self.file, self.nodes, self.face, set(faces), performance, self.unit)
+            activations = self.rig.activations(performance.curves)
+            tracks = [(node, "weights", self._weights(node, activations)) for node in faces] + motion.tracks
+            for node, _, _ in motion.tracks:
+                self._movable(edit.document["nodes"][node], node)
+            edit.add_animation(ANIMATION, increasing(performance.timestamps), tracks)
+            before = len(self.file.items("animations"))
+        edit.save()
+        kept = [f"its {before} animations are kept; the last one, '{ANIMATION}', is new"] if before else []
+        return motion.notes + edit.notes + kept
+
+    def _weights(self, node: int, activations: np.ndarray) -> np.ndarray:
+        rest = rest_weights(self.file, self.nodes, self.rig, node)
+        return self.rig.target_weights(self.nodes.entries[node]["mesh"], activations, rest)
+
+    def _movable(self, entry: dict, node: int) -> None:
+        """A node that moves may not have a matrix (glTF 3.11): the same as translation, rotation and scale."""
+        if entry.pop("matrix", None) is None:
+            return
+        from scipy.spatial.transform import Rotation
+
+        local, turn = self.nodes.local[node], local_rotation(self.nodes, node)
+        entry["translation"] = local[:3, 3].tolist()
+        entry["rotation"] = Rotation.from_matrix(turn).as_quat().tolist()
+        entry["scale"] = np.diag(turn.T @ local[:3, :3]).tolist()
+
+    def _check(self, out: Path) -> None:
+        suffix = out.suffix.lower()
+        vrm = {"VRM", "VRMC_vrm"} & extensions(self.file.document).keys()
+        if suffix not in (".glb", ".gltf", ".vrm") or suffix == ".vrm" and not vrm:
+            what = ".glb, .gltf or .vrm" if vrm else ".glb or .gltf"
+            raise ParameterError(
+                f"{out}: with the character {self.file.path.name} the output's name must end in {what}"
+            )
+        check_no_input(out, [self.file.path])
