@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..export.arguments import add_stream_arguments
+from ..export.arguments import add_destinations, add_stream_arguments
 from .arguments import add_mirrored, add_settings, add_source, opened, parameters, source_name, whole
 
 
@@ -51,8 +51,20 @@ def add_stream(commands) -> None:
 
 
 def run_stream(args: argparse.Namespace) -> int:
-    """``stream SOURCE``: track, and send every frame."""
-    chosen, args.source = parameters(args.set), source_name(args)
+    """``stream SOURCE``: track, and send every frame; a take's or a phone's curves are sent as they are."""
+    from ..livelink.receiver import is_livelink
+    from ..livelink.take import is_take
+
+    chosen = parameters(args.set)
+    if is_livelink(args.source):
+        from ..live.livelink import run_livelink_stream
+
+        return run_livelink_stream(args)
+    if is_take(args.source):
+        from ..export.take import stream_take
+
+        return stream_take(args)
+    args.source = source_name(args)
     from ..sensors.catalogue import is_live
 
     if is_live(args.source):
@@ -67,16 +79,16 @@ def run_stream(args: argparse.Namespace) -> int:
 def add_live(commands) -> None:
     """``live``."""
     live = commands.add_parser("live", help="a sensor, the neutral scan, and the tracked face: in the notebook or here")
-    live.add_argument("sensor", nargs="?", metavar="SENSOR", help="synthetic, realsense, ... or a recording")
+    live.add_argument("sensor", nargs="?", metavar="SENSOR", help="synthetic, realsense, ..., a recording, or "
+                      "livelink[:[HOST:]PORT]: an iPhone's curves")  # fmt: skip
     add_mirrored(live)
     live.add_argument("--headless", action="store_true", help="in the terminal; without SENSOR: which ones there are")
     live.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help="of the notebooks")
     live.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured first, by a guided scan")
     live.add_argument("--save-actor", type=Path, metavar="FILE", help="where to keep the captured actor")
     live.add_argument("--record", type=Path, metavar="DIR", help="also record every frame to a new folder")
-    live.add_argument("--out", type=Path, metavar="result.npz", help="the result, 3 MB a second")
-    live.add_argument("--vmc", nargs="?", const="", metavar="HOST:PORT", help="send VMC messages while tracking")
-    live.add_argument("--osc", nargs="?", const="", metavar="HOST:PORT", help="send OSC messages while tracking")
+    live.add_argument("--out", type=Path, metavar="result.npz", help="the result, 3 MB a second; livelink: take.csv")
+    add_destinations(live)
     live.add_argument("--seconds", type=whole(1, 86_400), metavar="N", help="of tracking; default: until Ctrl-C")
     add_settings(live)
     live.set_defaults(run=run_live)
@@ -85,7 +97,8 @@ def add_live(commands) -> None:
 def run_live(args: argparse.Namespace) -> int:
     """``live [SENSOR]``."""
     from ..live.command import run_live as run
+    from ..livelink.receiver import is_livelink
 
-    if args.sensor is not None:
+    if args.sensor is not None and not is_livelink(args.sensor):
         args.sensor = source_name(args)
     return run(args, parameters(args.set))

@@ -36,13 +36,23 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
 
 def add_stream_arguments(command: argparse.ArgumentParser) -> None:
     """Options of ``adaptiveface stream`` besides the source and the parameters."""
-    command.add_argument("--vmc", nargs="?", const="", metavar="HOST:PORT",
-                         help="VMC messages; without a host to this machine only (default: 127.0.0.1:39539)")
-    command.add_argument("--osc", nargs="?", const="", metavar="HOST:PORT",
-                         help="plain OSC messages (default: 127.0.0.1:9000)")  # fmt: skip
+    add_destinations(command)
     command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
     _add_smoothing(command)
     command.add_argument("--fast", action="store_true", help="do not hold a recording back to its own speed")
+
+
+def add_destinations(command: argparse.ArgumentParser) -> None:
+    """Where to send; every HOST is this machine unless it is named."""
+    command.add_argument("--vmc", nargs="?", const="", metavar="HOST:PORT",
+                         help="VMC messages to avatars (default: 127.0.0.1:39539)")  # fmt: skip
+    command.add_argument("--osc", nargs="?", const="", metavar="HOST:PORT",
+                         help="plain OSC messages, and Face Cap's (default: 127.0.0.1:9000)")  # fmt: skip
+    command.add_argument("--livelink", nargs="?", const="", metavar="HOST:PORT",
+                         help="as Live Link Face sends to Unreal (default: 127.0.0.1:11111)")  # fmt: skip
+    command.add_argument("--vmc-avatar", type=Path, metavar="FILE",
+                         help="the .vrm or .glb that receives VMC: its bones keep their places")  # fmt: skip
+    command.add_argument("--vmc-root", action="store_true", help="the avatar follows the head through the room")
 
 
 def _add_smoothing(command: argparse.ArgumentParser) -> None:

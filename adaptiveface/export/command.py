@@ -213,21 +213,16 @@ def write_demo_character(name: str, result: Result, actor: Actor, source, folder
 def run_stream(source, parameters, args: argparse.Namespace) -> int:
     """``adaptiveface stream``: track ``source`` and send every frame."""
     from ..pipeline import capture_from, track_source
-    from .stream import OSC_PORT, VMC_PORT, Address, Pace, Streamer, check_streaming
+    from .destinations import addresses, avatar, said
+    from .stream import Pace, Streamer
 
-    vmc = Address.parse(args.vmc, VMC_PORT) if args.vmc is not None else None
-    osc = Address.parse(args.osc, OSC_PORT) if args.osc is not None else None
-    if vmc is None and osc is None:
-        vmc = Address.parse("", VMC_PORT)
+    found, receiver = addresses(args, default_vmc=True), avatar(args)  # what is wrong fails before the capture
     actor = Actor.load(args.actor) if args.actor else None
-    check_streaming()  # fails before the capture, not after it
     actor = actor or capture_from(source, parameters, args.neutral_frames, progress=True)
-    streamer = Streamer(actor, parameters.blendshapes.A, vmc, osc, _smoothing(args))
+    streamer = Streamer(actor, parameters.blendshapes.A, smoothing=_smoothing(args), avatar=receiver, **found)
     if streamer.unknown:
         print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
-    for kind, address in (("VMC", vmc), ("OSC", osc)):
-        if address:
-            print(f"{kind} to {address.host}:{address.port}")
+    print("\n".join(said(found)))
     pace = Pace()
 
     def on_frame(tracked, frame):

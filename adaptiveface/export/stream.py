@@ -1,7 +1,8 @@
-"""Streaming a performance while it is tracked: VMC and plain OSC messages over UDP, the extra ``osc``."""
+"""Streaming a performance while it is tracked, over UDP: VMC and OSC messages (the extra ``osc``), Live Link Face."""
 
 from __future__ import annotations
 
+import socket
 import time
 from dataclasses import dataclass
 
@@ -9,12 +10,13 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
-from ..retargeting.arkit import ARKIT_NAMES, arkit_weights
+from ..livelink.packet import LiveLinkFrame, encode
+from ..retargeting.arkit import arkit_weights
 from ..retargeting.resolve import SparseResolve
 from ..retargeting.smoothing import Smoothing
 from ..tracking.types import TrackedFrame
 from .animation import METRES, view_motion
-from .gltf import quaternions
+from .messages import FaceState, Message, VmcAvatar, osc_messages, vmc_messages
 
 LOOPBACK, VMC_PORT, OSC_PORT = "127.0.0.1", 39539, 9000
 
@@ -44,53 +46,37 @@ def _bracketed(text: str) -> tuple[str, str, str]:
 
 
 class Streamer:
-    """Sends every tracked frame to VMC and OSC receivers: the coefficients re-solved from v4, and the head's motion.
+    """Sends every tracked frame to receivers: the coefficients re-solved from v4, and the head's motion.
 
-    actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves.
-
-    VMC (https://protocol.vmc.info): ``/VMC/Ext/OK``, ``/VMC/Ext/T``, ``/VMC/Ext/Bone/Pos Head``, one
-    ``/VMC/Ext/Blend/Val`` for each ARKit shape ("perfect sync" names, capital first letter), ``/VMC/Ext/Blend/Apply``;
-    Unity's axes. OSC: ``/adaptiveface/tracked`` 0 or 1, ``/adaptiveface/head`` (metres and quaternion x y z w in the
-    view frame: x right, y up, z to the viewer), ``/adaptiveface/blendshape`` name and value.
+    actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves. Where
+    it goes and in which form: :class:`Sender`.
     """
 
     def __init__(
         self, actor: Actor, count: int | None = None, vmc: Address | None = None, osc: Address | None = None,
-        smoothing: Smoothing | None = None,
+        smoothing: Smoothing | None = None, livelink: Address | None = None, avatar: VmcAvatar | None = None,
     ) -> None:
         names = actor.expression_names[:count]
         self._weights, self._resolve = arkit_weights(names), SparseResolve(actor, names)
         self.unknown = self._weights.unknown
         self._smoothing, self._state, self._before = smoothing, None, None
         self._start: np.ndarray | None = None
-        self._vmc, self._osc = _client(vmc), _client(osc)
-        self.sent = 0
+        self._sender = Sender(vmc, osc, livelink, avatar)
+
+    @property
+    def sent(self) -> int:
+        """Frames sent so far."""
+        return self._sender.sent
 
     def send(self, frame: TrackedFrame, _source_frame=None) -> None:
         """Send one frame; a lost face sends only that it is lost. Raises :class:`AdaptiveFaceError` (no route)."""
-        messages_vmc: list[tuple[str, list]] = [("/VMC/Ext/OK", [int(frame.tracked)])]
-        messages_osc: list[tuple[str, list]] = [("/adaptiveface/tracked", [int(frame.tracked)])]
+        state = FaceState(float(frame.timestamp), False)
         if frame.tracked:
-            curves = self._curves(frame)
             pose = view_motion(frame.rigid[None])[0]
             self._start = pose[:3, 3].copy() if self._start is None else self._start
             place = METRES * (pose[:3, 3] - self._start)
-            x, y, z, w = (float(v) for v in quaternions(pose[None, :3, :3])[0])
-            px, py, pz = (float(v) for v in place)
-            messages_vmc.append(("/VMC/Ext/T", [float(frame.timestamp)]))
-            # Unity's axes are left-handed: x is mirrored, and with it the turns about y and z.
-            messages_vmc.append(("/VMC/Ext/Bone/Pos", ["Head", -px, py, pz, x, -y, -z, w]))
-            messages_osc.append(("/adaptiveface/head", [px, py, pz, x, y, z, w]))
-            for name, value in zip(ARKIT_NAMES, curves, strict=True):
-                messages_vmc.append(("/VMC/Ext/Blend/Val", [name[0].upper() + name[1:], float(value)]))
-                messages_osc.append(("/adaptiveface/blendshape", [name, float(value)]))
-            messages_vmc.append(("/VMC/Ext/Blend/Apply", []))
-        try:
-            _send(self._vmc, messages_vmc)
-            _send(self._osc, messages_osc)
-        except OSError as error:
-            raise AdaptiveFaceError(f"cannot send the stream: {error}") from None
-        self.sent += 1
+            state = FaceState(float(frame.timestamp), True, self._curves(frame), pose[:3, :3], place)
+        self._sender.send(state)
 
     def _curves(self, frame: TrackedFrame) -> np.ndarray:
         coefficients = self._resolve(frame.v4, frame.coefficients)
@@ -100,6 +86,35 @@ class Streamer:
             curves, self._state = self._smoothing.step(curves, dt, self._state)
             self._before = frame.timestamp
         return np.clip(curves, 0, 1)
+
+
+class Sender:
+    """Sends faces over UDP: VMC and OSC messages (:mod:`adaptiveface.export.messages`), Live Link Face's datagrams."""
+
+    def __init__(
+        self, vmc: Address | None = None, osc: Address | None = None, livelink: Address | None = None,
+        avatar: VmcAvatar | None = None,
+    ) -> None:
+        self._avatar, self._livelink = avatar, livelink
+        self._vmc, self._osc = _client(vmc), _client(osc)
+        self._socket = None
+        if livelink is not None:
+            self._socket = socket.socket(socket.AF_INET6 if ":" in livelink.host else socket.AF_INET, socket.SOCK_DGRAM)
+        self.sent = 0
+
+    def send(self, state: FaceState) -> None:
+        """Send one face to all; raises :class:`AdaptiveFaceError` where there is no way there."""
+        try:
+            if self._vmc is not None:
+                _send(self._vmc, vmc_messages(state, self._avatar))
+            if self._osc is not None:
+                _send(self._osc, osc_messages(state))
+            if self._socket is not None:
+                frame = LiveLinkFrame(state.time, state.tracked, state.curves, state.head_angles, state.eye_angles)
+                self._socket.sendto(encode(frame), (self._livelink.host, self._livelink.port))
+        except OSError as error:
+            raise AdaptiveFaceError(f"cannot send the stream: {error}") from None
+        self.sent += 1
 
 
 def check_streaming() -> None:
@@ -126,9 +141,7 @@ def _client(address: Address | None):
 _PER_BUNDLE = 20
 
 
-def _send(client, messages: list[tuple[str, list]]) -> None:
-    if client is None:
-        return
+def _send(client, messages: list[Message]) -> None:
     from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
     from pythonosc.osc_message_builder import OscMessageBuilder
 

@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from ..errors import ParameterError
 from ..livelink import ARKIT_NAMES, LiveLinkTake, read_take
 from ..retargeting import BUILT_IN, UNITS
 from ..retargeting.character import Character, is_gltf, load_character
 from ..retargeting.retarget import Performance, undriven
-from ..retargeting.smoothing import Smoothing
+from ..retargeting.smoothing import FILTERS, Smoothing
 from .animation import AnimatedMesh, character_animation
 from .arkit_csv import take_performance, write_arkit_csv
 
@@ -51,6 +52,31 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
 
         _write_mesh(out, mesh, args.format)
     print(f"{out}: {mesh.description}")
+    return 0
+
+
+def stream_take(args: argparse.Namespace) -> int:
+    """``adaptiveface stream take.csv``: send a take's curves at their own speed; returns the exit status."""
+    from .destinations import addresses, avatar, said
+    from .messages import FaceState
+    from .stream import Pace, Sender
+
+    for name in ("actor", "mirrored"):
+        if getattr(args, name):
+            raise ParameterError(f"{args.source}: is a take of curves; --{name} needs a recording")
+    take = read_take(args.source)
+    performance = take_performance(take).smoothed(FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None)
+    found = addresses(args, default_vmc=True)
+    sender, pace = Sender(**found, avatar=avatar(args)), Pace()
+    _say(take)
+    print("\n".join(said(found)))
+    turns = take.head_rotations()
+    frames = zip(performance.timestamps, take.tracked, np.clip(performance.curves, 0, 1), turns, take.eyes, strict=True)
+    for time, tracked, curves, turn, eyes in tqdm(frames, total=len(take), unit="frame", disable=None):
+        if not args.fast:
+            pace.wait(time)
+        sender.send(FaceState(float(take.timestamps[0] + time), bool(tracked), curves, turn, eyes=eyes))
+    print(f"{sender.sent} frames sent")
     return 0
 
 

@@ -13,6 +13,7 @@ from ..actor import Actor
 from ..errors import ParameterError, TrackingError
 from ..files import check_distinct, check_new_folder, check_output
 from ..interrupt import CtrlC, Terminated
+from ..livelink.receiver import is_livelink
 from ..parameters import Parameters
 from ..result import ResultBuilder
 from ..sensors.catalogue import list_sensors, open_sensor
@@ -36,11 +37,16 @@ DEGRADED = "no depth: a degraded mode; sizes and distances are guesses, and noth
 
 def run_live(args: argparse.Namespace, parameters: Parameters) -> int:
     """``adaptiveface live [SENSOR]``; returns the exit status."""
+    if args.sensor is not None and is_livelink(args.sensor):
+        from .livelink import run_livelink
+
+        return run_livelink(args)
     if not args.headless:
         return _open_notebook(args)
     if args.sensor is None:
         for sensor in list_sensors():
             print(f"{sensor.name:<24}{sensor.description}" + ("" if sensor.ready else f" [{sensor.state}]"))
+        print(f"{'livelink':<24}an iPhone's curves (Live Link Face): no depth, drives avatars and makes takes")
         return 0
     return _Headless(args, parameters).run()
 
@@ -50,8 +56,8 @@ def _open_notebook(args: argparse.Namespace) -> int:
 
     given = [
         f"--{name.replace('_', '-')}"
-        for name in ("save_actor", "record", "out", "vmc", "osc", "seconds", "set")
-        if getattr(args, name) not in (None, [])
+        for name in ("save_actor", "record", "out", "vmc", "osc", "livelink", "vmc_avatar", "vmc_root", "seconds", "set")
+        if getattr(args, name) not in (None, [], False)
     ]
     if given:
         raise ParameterError(f"{', '.join(given)}: only with --headless; the notebook has buttons and sliders for it")
@@ -86,10 +92,9 @@ class _Headless:
         if args.record is not None:
             check_new_folder(args.record, inputs)
         check_distinct(args.out, args.save_actor, args.record)
-        if self._addresses() != (None, None):
-            from ..export.stream import check_streaming
+        from ..export.destinations import addresses, avatar
 
-            check_streaming()
+        self._destinations, self._avatar = addresses(self.args), avatar(self.args)
 
     def run(self) -> int:
         """Until the end of the recording, of ``--seconds``, or Ctrl-C; the exit status."""
@@ -207,24 +212,17 @@ class _Headless:
             self.line.show(f"{self._watch_recording()}{state}: {session.statistics}")
         session.latest(last)  # raises what ended it, unless that is the end of the recording
 
-    def _addresses(self):
-        from ..export.stream import OSC_PORT, VMC_PORT, Address
-
-        pairs = ((self.args.vmc, VMC_PORT), (self.args.osc, OSC_PORT))
-        return tuple(None if text is None else Address.parse(text, port) for text, port in pairs)
-
     def _stream(self, run: LiveRun) -> None:
-        vmc, osc = self._addresses()
-        if vmc is None and osc is None:
+        if not self._destinations:
             return
+        from ..export.destinations import said
         from ..export.stream import Streamer
         from ..retargeting.smoothing import OneEuro
 
         smoothing = OneEuro() if getattr(self.args, "smooth", False) else None
-        streamer = Streamer(run.actor, self.parameters.blendshapes.A, vmc, osc, smoothing)
-        for kind, address in (("VMC", vmc), ("OSC", osc)):
-            if address:
-                print(f"{kind} to {address.host}:{address.port}")
+        streamer = Streamer(run.actor, self.parameters.blendshapes.A, smoothing=smoothing, avatar=self._avatar,
+                            **self._destinations)  # fmt: skip
+        print("\n".join(said(self._destinations)))
         run.on_result(lambda result: streamer.send(result.tracked))
 
 
@@ -233,6 +231,6 @@ def run_live_stream(args: argparse.Namespace, parameters: Parameters) -> int:
     from ..export.stream import VMC_PORT
 
     values = dict(vars(args), sensor=args.source, headless=True, out=None, save_actor=None, record=None, seconds=None)
-    if args.vmc is None and args.osc is None:
+    if args.vmc is None and args.osc is None and args.livelink is None:
         values["vmc"] = str(VMC_PORT)
     return _Headless(argparse.Namespace(**values), parameters).run()

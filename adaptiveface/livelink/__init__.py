@@ -1,6 +1,7 @@
 """Curves as iPhones send and store them: ARKit's 52 face shapes, head and eye rotations, in Live Link Face's conventions.
 
-``convention`` is the one place that holds signs, axes and units. ``take`` reads and writes Live Link Face's CSV.
+``convention`` is the one place that holds signs, axes and units. ``take`` reads and writes Live Link Face's CSV,
+``packet`` its datagrams, ``receiver`` listens to them.
 """
 
 from .convention import ARKIT_NAMES, ROTATIONS

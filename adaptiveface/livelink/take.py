@@ -51,10 +51,20 @@ def write_take(path: str | os.PathLike, take: LiveLinkTake) -> None:
     """Write one row per frame, whole or not at all; a frame that is not tracked has the count 0 and no values."""
     rows = np.hstack([take.curves, take.head, take.eyes])
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as stream:
-        stream.write(",".join(HEADER) + "\n")
+        stream.write(header_line())
         for time, row, tracked in zip(take.timestamps, rows, take.tracked, strict=True):
-            values = f"{len(row)}," + ",".join(f"{value:.9g}" for value in row) if tracked else "0" + "," * len(row)
-            stream.write(f"{timecode(time)},{values}\n")
+            stream.write(row_line(time, row, tracked))
+
+
+def header_line() -> str:
+    """The first line of a take."""
+    return ",".join(HEADER) + "\n"
+
+
+def row_line(time: float, row: np.ndarray, tracked: bool = True) -> str:
+    """The line of a frame at ``time`` s since midnight with its values (61,) in the order of the header."""
+    values = f"{len(row)}," + ",".join(f"{value:.9g}" for value in row) if tracked else "0" + "," * len(row)
+    return f"{timecode(time)},{values}\n"
 
 
 def is_take(path: str | os.PathLike) -> bool:

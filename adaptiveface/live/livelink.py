@@ -1,0 +1,121 @@
+"""``adaptiveface live livelink``: an iPhone's curves, kept as a take and sent on to avatars and other programs."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from contextlib import ExitStack, nullcontext
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import AdaptiveFaceError, ParameterError, SensorError
+from ..export.destinations import destinations
+from ..export.messages import FaceState
+from ..files import check_output, replacing
+from ..interrupt import CtrlC
+from ..livelink.convention import ARKIT_NAMES, rotations
+from ..livelink.packet import LiveLinkFrame
+from ..livelink.receiver import LOOPBACK, LiveLinkReceiver, parse_address
+from ..livelink.take import header_line, row_line
+from .status import StatusLine
+
+#: Options of ``live`` that need pictures, with the value when nobody asked for them.
+_OF_SENSORS = {"actor": None, "save_actor": None, "record": None, "set": [], "mirrored": False}
+_SHOWN = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft")
+
+
+def run_livelink(args: argparse.Namespace) -> int:
+    """``live livelink[:[HOST:]PORT] [--out take.csv] [--vmc ...]``; returns the exit status."""
+    _check(args)
+    host, port = parse_address(args.sensor)
+    with ExitStack() as stack:
+        receiver = stack.enter_context(LiveLinkReceiver(host, port))
+        ctrl_c = stack.enter_context(CtrlC())
+        sender, said = destinations(args)
+        here = ", this machine only; for a phone in your network: livelink:0.0.0.0:11111" if host == LOOPBACK else ""
+        print("\n".join([f"listening to Live Link Face on {host}:{receiver.port}{here}; Ctrl-C ends and saves", *said]))
+        run = _Run(receiver, sender, args.seconds)
+        output = stack.enter_context(replacing(args.out) if args.out else nullcontext())
+        run.until_the_end(output, ctrl_c)
+        if not run.count:
+            reason = f"; {receiver.bad} datagrams were no frames ({receiver.reason})" if receiver.bad else ""
+            raise SensorError(f"livelink on {host}:{receiver.port}: no frame came{reason}")
+    print(f"{args.out}: {run.summary}" if args.out else run.summary)
+    if run.error is not None:
+        raise run.error
+    return 0
+
+
+def run_livelink_stream(args: argparse.Namespace) -> int:
+    """``adaptiveface stream livelink``: as ``live`` without a take; VMC to this machine where nothing else is asked for."""
+    values = dict(vars(args), sensor=args.source, out=None, seconds=None)
+    if args.vmc is None and args.osc is None and args.livelink is None:
+        values["vmc"] = ""
+    return run_livelink(argparse.Namespace(**values))
+
+
+def _check(args: argparse.Namespace) -> None:
+    given = [f"--{name.replace('_', '-')}" for name, value in _OF_SENSORS.items() if getattr(args, name, value) != value]
+    if given:
+        raise ParameterError(f"{args.sensor}: sends curves and no pictures; {', '.join(given)} needs a sensor with depth")
+    if args.out is not None:
+        check_output(args.out, "arkit-csv")
+
+
+class _Run:
+    """Frames until Ctrl-C or ``seconds``. What goes wrong ends it, and is raised once the take is kept."""
+
+    def __init__(self, receiver: LiveLinkReceiver, sender, seconds: int | None) -> None:
+        self._receiver, self._sender, self._seconds = receiver, sender, seconds
+        self.count, self.lost, self.error = 0, 0, None
+        self._line = StatusLine()
+        self._began: float | None = None
+
+    @property
+    def summary(self) -> str:
+        """What came."""
+        text = f"{self.count} frames of '{self._receiver.subject}', {self.lost} without a face"
+        text += f", {self._receiver.late} late" if self._receiver.late else ""
+        others = ", ".join(sorted(self._receiver.others))
+        return text + (f"; other phones were left out: {others}" if others else "")
+
+    def until_the_end(self, output: Path | None, ctrl_c: CtrlC) -> None:
+        """Receive; ``output``: where the take is written as it comes."""
+        with open(output, "w", encoding="utf-8", newline="\n") if output else nullcontext() as stream:
+            if stream:
+                stream.write(header_line())
+            try:
+                start = time.monotonic()
+                while not ctrl_c.pressed and (self._seconds is None or time.monotonic() - start < self._seconds):
+                    for frame in self._receiver.frames(0.2):
+                        self._take(frame, stream)
+                    self._show()
+            except AdaptiveFaceError as error:
+                self.error = error
+        self._line.end()
+
+    def _take(self, frame: LiveLinkFrame, stream) -> None:
+        self._began = time.monotonic() if self._began is None else self._began
+        self.count += 1
+        self.lost += not frame.tracked
+        if stream:
+            stream.write(row_line(frame.time, np.concatenate([frame.curves, frame.head, frame.eyes]), frame.tracked))
+        self._last = frame
+        if self._sender is not None:
+            self._sender.send(face_state(frame))
+
+    def _show(self) -> None:
+        if not self.count:
+            bad = f" ({self._receiver.bad} datagrams that are none: {self._receiver.reason})" if self._receiver.bad else ""
+            self._line.show(f"waiting for Live Link Face{bad}")
+            return
+        rate = self.count / max(time.monotonic() - self._began, 1e-3)
+        levels = ", ".join(f"{name} {self._last.curves[ARKIT_NAMES.index(name)]:.2f}" for name in _SHOWN)
+        face = levels if self._last.tracked else "no face"
+        self._line.show(f"{self._receiver.subject}: {self.count} frames, {rate:.0f} a second, {face}")
+
+
+def face_state(frame: LiveLinkFrame) -> FaceState:
+    """What is sent on of a phone's frame."""
+    return FaceState(frame.time, frame.tracked, np.clip(frame.curves, 0, 1), rotations(frame.head), eyes=frame.eyes)

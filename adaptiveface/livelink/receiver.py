@@ -1,0 +1,88 @@
+"""Listens to Live Link Face: the newest frames of one phone, from a socket that is on this machine's own address unless
+another one is asked for."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Iterator
+
+from ..errors import ParameterError, SensorError
+from .packet import MAX_BYTES, PORT, LiveLinkFrame, decode
+
+LOOPBACK = "127.0.0.1"
+NAME = "livelink"
+
+
+def is_livelink(text: str) -> bool:
+    """Whether a sensor's name is ``livelink[:[HOST:]PORT]``."""
+    return text.partition(":")[0] == NAME
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Host and port of ``livelink[:[HOST:]PORT]``; raises :class:`ParameterError`."""
+    host, _, port = text.removeprefix(NAME).removeprefix(":").rpartition(":")
+    if port and not port.isdecimal() and not host:
+        host, port = port, ""
+    if port and not (port.isascii() and port.isdecimal() and len(port) <= 5 and 1 <= int(port) <= 65535):
+        raise ParameterError(f"'{text}': livelink[:PORT] or livelink:HOST:PORT with a port from 1 to 65535 is expected")
+    return host.strip("[]") or LOOPBACK, int(port or PORT)
+
+
+class LiveLinkReceiver:
+    """A context manager; :meth:`frames` yields what comes.
+
+    subject: the phone that is followed, the first that sent a face; bad: datagrams that were none of Live Link Face, and
+    the last reason; others: names of further phones; late: frames that came after a newer one.
+    """
+
+    def __init__(self, host: str = LOOPBACK, port: int = PORT) -> None:
+        self.host, self.port = host, port
+        self.subject = ""
+        self.bad, self.reason, self.late = 0, "", 0
+        self.others: set[str] = set()
+        self._device: str | None = None
+        self._last: float | None = None
+
+    def __enter__(self) -> LiveLinkReceiver:
+        family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((self.host, self.port))
+        except OSError as error:
+            self._socket.close()
+            raise SensorError(f"{self.host}:{self.port}: cannot listen there ({error.strerror or error})") from None
+        self.port = self._socket.getsockname()[1]
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._socket.close()
+
+    def frames(self, timeout: float) -> Iterator[LiveLinkFrame]:
+        """Frames that have come, in order, waiting ``timeout`` s for the first; none where nothing came."""
+        self._socket.settimeout(timeout)
+        with contextlib.suppress(TimeoutError, BlockingIOError, ConnectionResetError):
+            while True:
+                data = self._socket.recv(MAX_BYTES + 1)
+                self._socket.settimeout(0.0)
+                frame = self._accept(data)
+                if frame is not None:
+                    yield frame
+
+    def _accept(self, data: bytes) -> LiveLinkFrame | None:
+        try:
+            frame = decode(data)
+        except ValueError as error:
+            self.bad, self.reason = self.bad + 1, str(error)
+            return None
+        if self._device is None and frame.tracked:
+            self._device, self.subject = frame.device, frame.subject
+        if self._device is not None and frame.device != self._device:
+            if len(self.others) < 20:
+                self.others.add(frame.subject)
+            return None
+        if self._last is not None and 0 <= self._last - frame.time < 1.0:
+            self.late += 1
+            return None
+        self._last = frame.time
+        return frame
