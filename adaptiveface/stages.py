@@ -112,12 +112,17 @@ class StageSet:
     @classmethod
     def from_json(cls, text: str) -> Self:
         """The inverse of :meth:`to_json`; raises :class:`ParameterError`."""
+        stages = cls.stored(text)
+        return cls().set(**{f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()})
+
+    @staticmethod
+    def stored(text: str) -> dict[str, dict[str, Any]]:
+        """The values in a JSON of :meth:`to_json` by stage and name, unchecked; raises :class:`ParameterError`."""
         try:
             stages = json.loads(text)
-            flat = {f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()}
+            return {stage: dict(values.items()) for stage, values in stages.items()}
         except (json.JSONDecodeError, AttributeError) as error:
             raise ParameterError(f"not a JSON object of parameters: {error}") from None
-        return cls().set(**flat)
 
     @classmethod
     def rows(cls) -> list[dict[str, Any]]:

@@ -467,20 +467,33 @@ class _Source:
         return self.frames[index]
 
 
-def test_stream_command_tracks_and_sends(scene, saved, capsys, monkeypatch):
-    pytest.importorskip("pythonosc", reason="the extra 'osc' is not installed")
-    source = _Source(scene[0])
+def streamed_jaw(actor, saved, monkeypatch, *options: str) -> tuple[list[float], str]:
+    """JawOpen of every frame of :class:`_Source` as ``adaptiveface stream`` sends it, and the port."""
+    source = _Source(actor)
     monkeypatch.setattr("adaptiveface.sensors.open_source", lambda text: source)
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.bind((LOOPBACK, 0))
     port = str(listener.getsockname()[1])
-    assert cli.main(["stream", "any", "--vmc", port, "--actor", str(saved / "actor.npz"), "--fast"]) == 0
+    assert cli.main(["stream", "any", "--vmc", port, "--actor", str(saved / "actor.npz"), "--fast", *options]) == 0
     messages = received(listener)
     listener.close()
-    jaw = [m[1][1] for m in messages if m[0] == "/VMC/Ext/Blend/Val" and m[1][0] == "JawOpen"]
+    return [m[1][1] for m in messages if m[0] == "/VMC/Ext/Blend/Val" and m[1][0] == "JawOpen"], port
+
+
+def test_stream_command_tracks_and_sends(scene, saved, capsys, monkeypatch):
+    pytest.importorskip("pythonosc", reason="the extra 'osc' is not installed")
+    jaw, port = streamed_jaw(scene[0], saved, monkeypatch)
     assert len(jaw) == 6 and jaw[0] < 0.1
     assert jaw[-1] == pytest.approx(0.6, abs=0.12) and np.all(np.diff(jaw) > 0)
     assert f"VMC to {LOOPBACK}:{port}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("change, most", [("sparsity=1000", 0.02), ("upper=0.3", 0.301)])
+def test_stream_solves_with_the_parameters_of_the_run(scene, saved, monkeypatch, change, most):
+    """A price that no expression is worth, and a lower ceiling: the stream follows both."""
+    pytest.importorskip("pythonosc", reason="the extra 'osc' is not installed")
+    jaw, _ = streamed_jaw(scene[0], saved, monkeypatch, "--set", f"blendshapes.{change}")
+    assert len(jaw) == 6 and max(jaw) < most
 
 
 def test_usd_validators_find_nothing(files, tmp_path):

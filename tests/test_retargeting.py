@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,13 @@ from adaptiveface.actor import Actor
 from adaptiveface.blendshapes import deformation_transfer
 from adaptiveface.errors import FileFormatError, ParameterError
 from adaptiveface.face_model import embedded_face_model
+from adaptiveface.mesh import transform_points
+from adaptiveface.parameters import Parameters
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.retargeting.character import Character, load_character
 from adaptiveface.retargeting.correctives import character_correctives, transferred_correctives
-from adaptiveface.retargeting.resolve import SparseResolve
-from adaptiveface.retargeting.retarget import driving_coefficients, increasing, retarget
+from adaptiveface.retargeting.resolve import SparseResolve, blendshape_parameters
+from adaptiveface.retargeting.retarget import driving_coefficients, head_frames, increasing, retarget
 from adaptiveface.retargeting.smoothing import (
     COMPARED,
     FILTERS,
@@ -31,6 +34,7 @@ from adaptiveface.retargeting.smoothing import (
 )
 from adaptiveface.synthetic.performer import Performer
 from adaptiveface.synthetic.script import performance
+from adaptiveface.tracking.expression import BlendshapeFit
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synth"))
 from evaluate_retargeting import SameStyle, coefficient_errors, performances  # noqa: E402
@@ -90,6 +94,33 @@ def test_resolve_minimises_its_energy():
     best = energy(x)
     for _ in range(200):
         assert energy(np.clip(x + rng.normal(0, 0.02, 23), 0, 1)) >= best - 1e-6 * abs(best)
+
+
+@pytest.mark.parametrize("changes", [{}, {"sparsity": 0.0}, {"sparsity": 60.0}, {"ridge": 5000.0}, {"upper": 0.3},
+                                     {"lower": -0.5}, {"lower": -1.0, "sparsity": 0.0, "ridge": 0.0}])  # fmt: skip
+def test_export_solves_with_the_parameters_of_the_run(scene, changes):
+    """With the actor's rig beside it, a result gives the coefficients that its own tracker found."""
+    actor, result, _ = scene
+    parameters = Parameters().set(**{f"blendshapes.{name}": value for name, value in changes.items()})
+    fit = BlendshapeFit(actor, parameters.blendshapes)
+    meshes = head_frames(result)
+    meshes[0] = 2 * actor.neutral - meshes[3]  # an expression the other way
+    vertices = np.stack([transform_points(m, v) for m, v in zip(result.rigid.astype(float), meshes, strict=True)])
+    tracked = np.stack([fit.resolve(v4, np.zeros(23)) for v4 in meshes])
+    run = replace(result, vertices=vertices.astype(np.float32), parameters=parameters.to_json(),
+                  coefficients=tracked.astype(np.float32))  # fmt: skip
+    np.testing.assert_allclose(driving_coefficients(run, actor=actor), tracked, atol=1e-3)
+    assert ((tracked < -0.02).any()) == ("lower" in changes)
+
+
+def test_a_results_own_parameters_are_read_whatever_else_stands_there(scene):
+    _, result, _ = scene
+    stages = {"blendshapes": {"sparsity": 1.5}, "adaptive_pca": {"valid_min": 9, "valid_max": 1}, "later": {"x": 1}}
+    assert blendshape_parameters(replace(result, parameters=json.dumps(stages))).sparsity == 1.5
+    assert blendshape_parameters(replace(result, parameters="{}")) == Parameters().blendshapes
+    for text in ("", "[1]", '{"blendshapes": 3}', '{"blendshapes": {"sparsity": -1}}', '{"blendshapes": {"new": 1}}'):
+        with pytest.raises(ParameterError):
+            blendshape_parameters(replace(result, parameters=text))
 
 
 def test_resolve_refuses_another_actor(scene):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, minimize
 from scipy.sparse.linalg import spsolve
 
 from adaptiveface.mesh import cotangent_laplacian, transform_points, vertex_normals
 from adaptiveface.parameters import BlendshapeParameters, DepthParameters, KalmanParameters, RigidParameters
-from adaptiveface.tracking.bounded import bounded_least_squares
+from adaptiveface.tracking.bounded import bounded_least_squares, sparse_least_squares
 from adaptiveface.tracking.depth_surface import Correspondences, depth_surface, find_correspondences, occluded_share
 from adaptiveface.tracking.detection import pose_from_features
 from adaptiveface.tracking.expression import BlendshapeFit
@@ -148,6 +148,42 @@ def test_bounded_least_squares_equals_scipy():
         expected = lsq_linear(a, b, (0.0, 1.0), tol=1e-12).x
         got = bounded_least_squares(a.T @ a, a.T @ b, np.zeros(23), np.ones(23), sweeps=20000, tolerance=1e-13)
         np.testing.assert_allclose(got, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("lower, upper, price", [(-1.0, 1.0, 3.0), (-0.3, 0.5, 10.0), (-1.0, 3.0, 0.0), (-0.2, 0.2, 300.0),
+                                                 (-1e-3, 1.0, 5.0), (0.0, 1.0, 4.0)])  # fmt: skip
+def test_sparse_least_squares_equals_scipy_on_both_sides_of_zero(lower, upper, price):
+    """|x| as the sum of a positive and a negative part: a plain bounded problem of twice the size."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        a, b = rng.normal(size=(60, 12)), 8 * rng.normal(size=60)
+        penalty = price * rng.uniform(0.5, 2, 12)
+        h, g = a.T @ a, a.T @ b
+        got = sparse_least_squares(h, g, penalty, np.full(12, lower), np.full(12, upper), sweeps=20000, tolerance=1e-13)
+
+        def energy(z, h=h, g=g, penalty=penalty):
+            x = z[:12] - z[12:]
+            slope = h @ x - g
+            return 0.5 * x @ h @ x - g @ x + penalty @ (z[:12] + z[12:]), np.concatenate([slope + penalty, penalty - slope])
+
+        limits = [(0, upper)] * 12 + [(0, -lower)] * 12
+        best = minimize(energy, np.zeros(24), jac=True, bounds=limits, options={"maxiter": 5000, "ftol": 1e-15, "gtol": 1e-10})
+        np.testing.assert_allclose(got, best.x[:12] - best.x[12:], atol=2e-5)
+        started = sparse_least_squares(h, g, penalty, np.full(12, lower), np.full(12, upper), rng.uniform(lower, upper, 12))
+        np.testing.assert_allclose(started, got, atol=1e-6)
+
+
+@pytest.mark.parametrize("lower", [0.0, -0.1, -0.5, -1.0])
+def test_a_neutral_mesh_needs_no_coefficients(lower):
+    """The price on an expression must not pay for negative coefficients, whatever the first guess."""
+    actor = exact_actor()
+    fit = BlendshapeFit(actor, BlendshapeParameters(lower=lower))
+    for start in (np.zeros(23), np.full(23, 0.3), np.full(23, lower)):
+        np.testing.assert_allclose(fit.resolve(actor.neutral, start), 0.0, atol=1e-7)
+    truth = np.zeros(23)
+    truth[[2, 7]] = max(lower, -0.4), 0.6
+    found = fit.resolve(posed_shape(actor, truth), np.zeros(23))
+    assert np.abs(found - truth).max() < 0.05 and (np.abs(found) <= np.abs(truth) + 0.01).all(), "drawn towards zero"
 
 
 def test_clipping_the_unbounded_solution_is_wrong():

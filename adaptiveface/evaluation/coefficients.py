@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..mesh import transform_points
 from ..parameters import Parameters
 from ..pipeline import track_source
 from ..retargeting.arkit import ARKIT_NAMES, arkit_weights
-from ..retargeting.resolve import SparseResolve
+from ..retargeting.resolve import SparseResolve, blendshape_parameters
 from ..synthetic.sensor import SyntheticSensor
 
 #: How a coefficient vector came about: the fit to the depth map (section 4.2), and two ways to solve once more from v4.
@@ -56,7 +56,7 @@ def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, act
     """Initial and re-solved coefficients of a tracked :func:`known_performance` beside the truth (frames, A)."""
     part = slice(sensor.neutral_frames, None)
     names = tuple(result.expression_names)
-    plain = SparseResolve(actor, names, sparsity=0.0)
+    plain = SparseResolve.as_tracked(actor, names, replace(blendshape_parameters(result), sparsity=0.0))
     heads = (transform_points(np.linalg.inv(rigid.astype(float)), v4.astype(float))
              for rigid, v4 in zip(result.rigid[part], result.vertices[part], strict=True))  # fmt: skip
     found = {

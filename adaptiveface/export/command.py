@@ -219,7 +219,8 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
     found, receiver = addresses(args, default_vmc=True), avatar(args)  # what is wrong fails before the capture
     actor = Actor.load(args.actor) if args.actor else None
     actor = actor or capture_from(source, parameters, args.neutral_frames, progress=True)
-    streamer = Streamer(actor, parameters.blendshapes.A, smoothing=_smoothing(args), avatar=receiver, **found)
+    streamer = Streamer(actor, parameters.blendshapes.A, smoothing=_smoothing(args), avatar=receiver,
+                        parameters=parameters.blendshapes, **found)  # fmt: skip
     if streamer.unknown:
         print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
     print("\n".join(said(found)))

@@ -11,6 +11,7 @@ import numpy as np
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
 from ..livelink.packet import LiveLinkFrame, encode
+from ..parameters import BlendshapeParameters
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.resolve import SparseResolve
 from ..retargeting.smoothing import Smoothing
@@ -48,16 +49,18 @@ def _bracketed(text: str) -> tuple[str, str, str]:
 class Streamer:
     """Sends every tracked frame to receivers: the coefficients re-solved from v4, and the head's motion.
 
-    actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves. Where
-    it goes and in which form: :class:`Sender`.
+    actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves;
+    ``parameters`` are those of the tracker (the defaults unless given). Where it goes and in which form: :class:`Sender`.
     """
 
     def __init__(
         self, actor: Actor, count: int | None = None, vmc: Address | None = None, osc: Address | None = None,
         smoothing: Smoothing | None = None, livelink: Address | None = None, avatar: VmcAvatar | None = None,
+        parameters: BlendshapeParameters | None = None,
     ) -> None:
         names = actor.expression_names[:count]
-        self._weights, self._resolve = arkit_weights(names), SparseResolve(actor, names)
+        self._weights = arkit_weights(names)
+        self._resolve = SparseResolve.as_tracked(actor, names, parameters or BlendshapeParameters())
         self.unknown = self._weights.unknown
         self._smoothing, self._state, self._before = smoothing, None, None
         self._start: np.ndarray | None = None

@@ -220,7 +220,8 @@ class _Headless:
         from ..retargeting.smoothing import OneEuro
 
         smoothing = OneEuro() if getattr(self.args, "smooth", False) else None
-        streamer = Streamer(run.actor, self.parameters.blendshapes.A, smoothing=smoothing, avatar=self._avatar,
+        fit = self.parameters.blendshapes
+        streamer = Streamer(run.actor, fit.A, smoothing=smoothing, avatar=self._avatar, parameters=fit,
                             **self._destinations)  # fmt: skip
         print("\n".join(said(self._destinations)))
         run.on_result(lambda result: streamer.send(result.tracked))

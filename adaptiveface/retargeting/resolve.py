@@ -12,9 +12,9 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import FileFormatError
-from ..parameters import BlendshapeParameters
-from ..tracking.bounded import bounded_least_squares
-from ..tracking.expression import sparsity_penalty
+from ..parameters import BlendshapeParameters, Parameters
+from ..result import Result
+from ..tracking.expression import few_coefficients, sparsity_penalty
 
 SPARSITY, RIDGE = BlendshapeParameters().sparsity, BlendshapeParameters().ridge
 
@@ -22,7 +22,10 @@ SPARSITY, RIDGE = BlendshapeParameters().sparsity, BlendshapeParameters().ridge
 class SparseResolve:
     """Re-solves coefficients of ``names`` (A,) for one actor; ``sparsity`` 0 is the plain bounded fit."""
 
-    def __init__(self, actor: Actor, names: Sequence[str], sparsity: float = SPARSITY, ridge: float = RIDGE) -> None:
+    def __init__(
+        self, actor: Actor, names: Sequence[str], sparsity: float = SPARSITY, ridge: float = RIDGE, lower: float = 0.0,
+        upper: float = 1.0,
+    ) -> None:  # fmt: skip
         missing = [name for name in names if name not in actor.expression_names]
         if missing:
             raise FileFormatError(f"the actor lacks the expressions {', '.join(missing)[:200]}")
@@ -33,10 +36,20 @@ class SparseResolve:
         gram = self._basis @ self._basis.T
         self._penalty = sparsity_penalty(gram, sparsity, int(actor.frontal.sum()))
         self._gram = gram + ridge * np.eye(len(rows))
+        self._bounds = np.full(len(rows), float(lower)), np.full(len(rows), float(upper))
+
+    @classmethod
+    def as_tracked(cls, actor: Actor, names: Sequence[str], parameters: BlendshapeParameters) -> SparseResolve:
+        """The re-solve of a run with these parameters."""
+        return cls(actor, names, parameters.sparsity, parameters.ridge, parameters.lower, parameters.upper)
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-        """(A,) coefficients in [0, 1] of a mesh (N, 3) in the head frame; ``start`` (A,) a first guess."""
+        """(A,) coefficients within the bounds of a mesh (N, 3) in the head frame; ``start`` (A,) a first guess."""
         displacement = (vertices[self._frontal] - self._neutral).ravel()
-        count = len(self._penalty)
-        return bounded_least_squares(self._gram, self._basis @ displacement - self._penalty, np.zeros(count),
-                                     np.ones(count), start)  # fmt: skip
+        return few_coefficients(self._gram, self._basis @ displacement, self._penalty, *self._bounds, start)
+
+
+def blendshape_parameters(result: Result) -> BlendshapeParameters:
+    """The parameters of the blendshape fit with which a result was tracked. Raises :class:`ParameterError`."""
+    stages = Parameters.stored(result.parameters)
+    return Parameters().set(**{f"blendshapes.{name}": v for name, v in stages.get("blendshapes", {}).items()}).blendshapes

@@ -14,7 +14,7 @@ from ..timing import frame_rate, increasing
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .character import Character
-from .resolve import SparseResolve
+from .resolve import SparseResolve, blendshape_parameters
 from .smoothing import Smoothing
 
 
@@ -54,8 +54,9 @@ class Performance:
 def driving_coefficients(result: Result, coefficients: str = "resolved", actor: Actor | None = None) -> np.ndarray:
     """(F, A) coefficients that drive the target.
 
-    "resolved": section 6, from the final mesh v4; with the actor's rig by :class:`SparseResolve`, without it those that
-    the tracker left in the result. "initial": section 4.2, what the paper compares with in figure 8.
+    "resolved": section 6, from the final mesh v4; with the actor's rig by :class:`SparseResolve` and the run's own
+    parameters, without it those that the tracker left in the result. "initial": section 4.2, what the paper compares
+    with in figure 8.
     """
     if coefficients not in COEFFICIENTS:
         raise ParameterError(f"coefficients = {coefficients!r}: one of {', '.join(COEFFICIENTS)} is expected")
@@ -63,7 +64,7 @@ def driving_coefficients(result: Result, coefficients: str = "resolved", actor: 
         return result.coefficients_initial.astype(float)
     if actor is None:
         return result.coefficients.astype(float)
-    resolve = SparseResolve(actor, result.expression_names)
+    resolve = SparseResolve.as_tracked(actor, result.expression_names, blendshape_parameters(result))
     return np.stack([resolve(v4, x) for v4, x in zip(head_frames(result), result.coefficients, strict=True)])
 
 

@@ -14,7 +14,7 @@ from ..camera import Camera
 from ..frame import Features2D
 from ..mesh import transform_points
 from ..parameters import BlendshapeParameters
-from .bounded import bounded_least_squares
+from .bounded import bounded_least_squares, sparse_least_squares
 from .depth_surface import DepthSurface, find_correspondences
 from .feature_rows import feature_rows
 from .rigid import apply_rigid_update
@@ -217,7 +217,17 @@ class BlendshapeFit:
         displacement = (vertices[self._frontal] - self.neutral[self._frontal]).ravel().astype(np.float32)
         lower, upper = np.full(len(x), self.parameters.lower), np.full(len(x), self.parameters.upper)
         h = self._frontal_gram + self.parameters.ridge * np.eye(len(x))
-        return bounded_least_squares(h, self._frontal_basis @ displacement - self._penalty, lower, upper, x)
+        return few_coefficients(h, self._frontal_basis @ displacement, self._penalty, lower, upper, x)
+
+
+def few_coefficients(h, g, penalty, lower, upper, start) -> np.ndarray:
+    """(A,) the minimum of x^T H x / 2 - g^T x + sum_k penalty_k |x_k| within bounds (A,); ``start`` (A,) or None.
+
+    Where no coefficient may be negative, the penalty is linear, and the plain bounded solver does it.
+    """
+    if (lower >= 0.0).all():
+        return bounded_least_squares(h, g - penalty, lower, upper, start)
+    return sparse_least_squares(h, g, penalty, lower, upper, start)
 
 
 #: ``blendshapes.sparsity`` is stated for a face of this many frontal vertices.
@@ -225,11 +235,11 @@ SPARSITY_VERTICES = 3500
 
 
 def sparsity_penalty(gram: np.ndarray, sparsity: float, vertices: int) -> np.ndarray:
-    """(A,) half the weights of sum_k w_k x_k in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
+    """(A,) half the weights of sum_k w_k |x_k| in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
 
     v4 holds more than the blendshapes can express, and a plain bounded fit spreads that over many small coefficients: it
     comes out no closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use few
     expressions at a time, so each must explain at least ``sparsity`` mm (root of the summed squares over the face) to
-    take part: a non-negative lasso (Tibshirani 1996) that weighs every expression by its size |b_k|.
+    take part: a lasso (Tibshirani 1996) within the coefficients' bounds that weighs every expression by its size |b_k|.
     """
     return sparsity * np.sqrt(vertices / SPARSITY_VERTICES) * np.sqrt(np.diag(gram))
