@@ -8,7 +8,8 @@ from pathlib import Path
 from ..retargeting import BUILT_IN, COEFFICIENTS, UNITS
 
 #: format -> what the output's name ends in ("": a folder).
-FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "usd": ".usdc", "usdz": ".usdz", "mp4": ".mp4", "gif": ".gif"}
+FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "mdd": ".mdd", "pc2": ".pc2", "usd": ".usdc", "usdz": ".usdz",
+           "mp4": ".mp4", "gif": ".gif"}  # fmt: skip
 
 
 def add_export_arguments(command: argparse.ArgumentParser) -> None:
@@ -23,6 +24,8 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
                          "the size of the head for OBJ files)")  # fmt: skip
     command.add_argument("--format", choices=tuple(FORMATS), default="glb", help="default: %(default)s")
     command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
+    command.add_argument("--out-unit", choices=tuple(UNITS), default="m",
+                         help="obj, mdd, pc2: unit of length, m for Blender, cm for Maya (default: %(default)s)")  # fmt: skip
     command.add_argument("--coefficients", choices=COEFFICIENTS, default="resolved", help="default: %(default)s")
     _add_smoothing(command)
     command.add_argument("--correctives", action="store_true",

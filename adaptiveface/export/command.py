@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from ..actor import Actor
 from ..errors import ParameterError
@@ -80,7 +82,7 @@ def run_export(args: argparse.Namespace) -> int:
         write_avatar(out, options, performance, lambda c: coverage(arkit_weights(result.expression_names), c))
         return 0
     mesh = animated(result, actor, options)
-    _write_mesh(out, mesh, args.format)
+    write_mesh(out, mesh, args.format, args.out_unit)
     print(f"{out}: {mesh.description}")
     return 0
 
@@ -110,7 +112,8 @@ def _smoothing(args: argparse.Namespace) -> Smoothing | None:
     return FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None
 
 
-def _write_mesh(out: Path, mesh: AnimatedMesh, kind: str) -> None:
+def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m") -> None:
+    """Write any of the formats of meshes; says the size of large ones first. ``unit``: of lengths in OBJ and caches."""
     if kind == "glb":
         from .gltf import write_glb
 
@@ -119,10 +122,19 @@ def _write_mesh(out: Path, mesh: AnimatedMesh, kind: str) -> None:
         from .usd import write_usd
 
         write_usd(out, mesh)
-    else:
-        from .obj_sequence import write_obj_sequence
+    elif kind in ("mdd", "pc2"):
+        from .point_cache import cache_bytes, rest_mesh, write_point_cache
 
-        write_obj_sequence(out, mesh)
+        print(f"{out}: about {cache_bytes(mesh) / 1e6:.0f} MB, and {rest_mesh(out).name}; lengths in {unit}", flush=True)
+        write_point_cache(out, mesh, unit, partial(tqdm, unit="frame", disable=None))
+    else:
+        from .obj_sequence import sequence_bytes, write_obj_sequence
+        from .point_cache import cache_bytes
+
+        other = f"; --format pc2 takes {cache_bytes(mesh) / 1e6:.0f} MB" if len(mesh) > 1 else ""
+        size = f"{len(mesh)} files, about {sequence_bytes(mesh, unit) / 1e6:.0f} MB"
+        print(f"{out}: {size}; lengths in {unit}{other}", flush=True)
+        write_obj_sequence(out, mesh, unit, partial(tqdm, unit="frame", disable=None))
 
 
 def _output(args: argparse.Namespace) -> Path:
@@ -134,6 +146,8 @@ def _output(args: argparse.Namespace) -> Path:
         from .obj_sequence import is_of_sequence
 
         return check_output_folder(out, is_of_sequence, inputs)
+    if args.format in ("mdd", "pc2"):
+        check_output(out.with_suffix(".obj"), "rest-mesh", inputs)
     avatar = args.format == "glb" and is_gltf(args.character)
     return check_output(out, "avatar" if avatar else args.format, inputs)
 

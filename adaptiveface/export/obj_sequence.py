@@ -3,28 +3,48 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import FileFormatError
 from ..files import replacing, replacing_folder
+from ..retargeting import UNITS
 from ..retargeting.obj_folder import read_obj
-from .animation import AnimatedMesh
+from .animation import AnimatedMesh, unit_normals
 
-_FRAME = re.compile(r"\d{5,}\.obj")
+#: With one prefix for all, because importers of sequences ask for it; earlier versions wrote none.
+_FRAME = re.compile(r"(?:face_)?\d{5,}\.obj")
+_UNIT = re.compile(r"# adaptiveface: lengths in (\w+)")
 
 
-def write_obj(path: str | Path, vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None) -> None:
-    """Vertices (V, 3) mm and triangles (T, 3); colours (V, 3) uint8 behind the coordinates, as many programs read."""
+def obj_text(
+    vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm"
+) -> str:
+    """An OBJ file of vertices (V, 3) mm and triangles (T, 3), with smooth normals, in ``unit`` (:data:`UNITS`).
+
+    colours (V, 3) uint8 stand behind the coordinates, as many programs read them.
+    """
+    points, digits = vertices / UNITS[unit], {"mm": 4, "cm": 5, "m": 7}[unit]
+    number = f"{{:.{digits}f}}"
     if colours is None:
-        lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices.tolist()]
+        lines = [f"v {number} {number} {number}".format(*row) for row in points.tolist()]
     else:
-        rows = np.hstack([vertices, colours / 255]).tolist()
-        lines = ["v {:.5f} {:.5f} {:.5f} {:.3f} {:.3f} {:.3f}".format(*row) for row in rows]
-    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+        form = f"v {number} {number} {number} {{:.3f}} {{:.3f}} {{:.3f}}"
+        lines = [form.format(*row) for row in np.hstack([points, colours / 255]).tolist()]
+    normals = unit_normals(vertices, triangles)
+    lines += ["vn {:.3f} {:.3f} {:.3f}".format(*row) for row in normals.tolist()]
+    lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (triangles + 1).tolist()]
+    return "\n".join([f"# adaptiveface: lengths in {unit}", "s 1", *lines]) + "\n"
+
+
+def write_obj(
+    path: str | Path, vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm"
+) -> None:
+    """Write :func:`obj_text`, whole or not at all."""
     with replacing(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="ascii")
+        temporary.write_text(obj_text(vertices, triangles, colours, unit), encoding="ascii")
 
 
 def is_of_sequence(name: str) -> bool:
@@ -32,40 +52,55 @@ def is_of_sequence(name: str) -> bool:
     return name == "timestamps.csv" or _FRAME.fullmatch(name.replace(".part", "")) is not None
 
 
-def write_obj_sequence(folder: str | Path, mesh: AnimatedMesh) -> None:
-    """``00000.obj``, ... in mm with the head's motion, the median position of the head at the origin, and
+def sequence_bytes(mesh: AnimatedMesh, unit: str = "m") -> int:
+    """About how many bytes :func:`write_obj_sequence` writes."""
+    return len(mesh) * len(obj_text(mesh.shape(0, posed=True) - mesh.centre, mesh.triangles, mesh.colours, unit))
+
+
+def write_obj_sequence(
+    folder: str | Path, mesh: AnimatedMesh, unit: str = "m", progress: Callable[[Iterable], Iterable] = iter
+) -> None:
+    """``face_00000.obj``, ... with the head's motion, the median position of the head at the origin, and
     ``timestamps.csv``. The whole folder appears at the end, and takes the place of one with an earlier take.
 
-    Raises :class:`AdaptiveFaceError`: the folder holds other files, the disk is full.
+    ``unit`` of lengths: "m" (Blender, Houdini), "cm" (Maya) or "mm". Raises :class:`AdaptiveFaceError`: the folder holds
+    other files, the disk is full.
     """
-    centre = np.median(mesh.rigid[:, :3, 3], axis=0)
     with replacing_folder(folder, is_of_sequence) as new:
-        for frame in range(len(mesh)):
-            write_obj(new / f"{frame:05d}.obj", mesh.shape(frame, posed=True) - centre, mesh.triangles, mesh.colours)
+        for frame in progress(range(len(mesh))):
+            vertices = mesh.shape(frame, posed=True) - mesh.centre
+            write_obj(new / f"face_{frame:05d}.obj", vertices, mesh.triangles, mesh.colours, unit)
         rows = [f"{frame},{time:.6f}" for frame, time in enumerate(mesh.timestamps)]
         (new / "timestamps.csv").write_text("\n".join(["frame,timestamp", *rows]) + "\n", encoding="ascii")
 
 
 def read_obj_sequence(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (F, V, 3) mm and triangles (T, 3) of a folder of :func:`write_obj_sequence`.
+    """Vertices (F, V, 3) mm and triangles (T, 3) of a folder of :func:`write_obj_sequence`, in any unit.
 
     Raises :class:`FileFormatError` for a folder without frames or frames of different meshes.
     """
     paths = sorted(p for p in Path(folder).iterdir() if _FRAME.fullmatch(p.name))
     if not paths:
-        raise FileFormatError(f"{folder}: no frames such as 00000.obj")
+        raise FileFormatError(f"{folder}: no frames such as face_00000.obj")
     frames, triangles = [], None
     for path in paths:
         vertices, corners = read_obj(path)
         if triangles is not None and (len(vertices) != len(frames[0]) or not np.array_equal(corners, triangles)):
             raise FileFormatError(f"{path}: another mesh than {paths[0].name}")
-        frames.append(vertices)
+        frames.append(_millimetres(path) * vertices)
         triangles = corners
     return np.stack(frames), triangles
 
 
+def _millimetres(path: Path) -> float:
+    """Millimetres per unit of a file that :func:`obj_text` made; earlier versions wrote millimetres and did not say so."""
+    with open(path, encoding="utf-8", errors="replace") as stream:
+        found = _UNIT.match(stream.readline(100))
+    return UNITS.get(found[1], 1.0) if found else 1.0
+
+
 def write_obj_shapes(folder: str | Path, mesh: AnimatedMesh) -> None:
-    """``neutral.obj`` and one ``NAME.obj`` per morph target at weight 1: a folder that loads as a character.
+    """``neutral.obj`` and one ``NAME.obj`` per morph target at weight 1, in mm: a folder that loads as a character.
 
     Raises :class:`AdaptiveFaceError` as :func:`write_obj_sequence` does.
     """

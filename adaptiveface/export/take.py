@@ -48,9 +48,9 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
     if args.format in ("mp4", "gif"):
         write_character_video(out, mesh, performance, args.turntable)
     else:
-        from .command import _write_mesh
+        from .command import write_mesh
 
-        _write_mesh(out, mesh, args.format)
+        write_mesh(out, mesh, args.format, args.out_unit)
     print(f"{out}: {mesh.description}")
     return 0
 

@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import AdaptiveFaceError
 from .archive import Archive
 from .atomic import check_holds_only
@@ -31,6 +33,13 @@ def _begins(*starts: bytes, at: int = 0) -> Callable[[Path], bool]:
     return begins
 
 
+def _is_mdd(path: Path) -> bool:
+    """The format has no name in it, but its length follows from its first eight bytes."""
+    with open_regular(path, 1 << 62) as stream:
+        frames, points = np.frombuffer(stream.read(8), ">i4").tolist()
+    return path.stat().st_size == 8 + 4 * frames + 12 * frames * points
+
+
 #: Kind of file -> how its name may end, what to call it, and whether the file at a path is one.
 KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
     "actor": ((".npz",), "an actor", _npz("neutral", "blendshapes", "feature_triangles")),
@@ -40,6 +49,9 @@ KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
     "usd": ((".usdc", ".usd", ".usda", ".usdz"), "a USD file", _begins(b"pxr-usdc", b"#usda", b"pk\3\4")),
     "usdz": ((".usdz",), "a USDZ package", _begins(b"pk\3\4")),
     "arkit-csv": ((".csv",), "a table of ARKit curves", _begins(b"timecode,")),
+    "mdd": ((".mdd",), "a point cache", _is_mdd),
+    "pc2": ((".pc2",), "a point cache", _begins(b"pointcache2")),
+    "rest-mesh": ((".obj",), "an OBJ file of this package", _begins(b"# adaptiveface")),
     "mp4": ((".mp4",), "an MP4 video", _begins(b"ftyp", at=4)),
     "gif": ((".gif",), "a GIF", _begins(b"gif8")),
     "html": ((".html",), "a report", _begins(b"<!doctype html")),

@@ -28,14 +28,13 @@ def import_file(path: str, fps: list) -> None:
         bpy.ops.wm.usd_import(filepath=path)
 
 
-def add_cache(path: str, fps: list) -> None:
+def add_cache(path: str) -> None:
     """A mesh cache modifier on the mesh, with Blender's defaults except for the kind of file."""
     scene, body = bpy.context.scene, mesh_object()
     modifier = body.modifiers.new("cache", "MESH_CACHE")
     modifier.cache_format = "MDD" if path.endswith(".mdd") else "PC2"
     modifier.filepath = path
     scene.frame_start, scene.frame_end = 0, 250
-    del fps
 
 
 def mesh_object():
@@ -100,12 +99,13 @@ def main(jobs_path: str, out_path: str) -> None:
     for key, path in jobs["files"].items():
         import_file(path, jobs["fps"])
         if key in jobs.get("caches", {}):
-            add_cache(jobs["caches"][key], jobs["fps"])
+            add_cache(jobs["caches"][key])
         scene = bpy.context.scene
         out[f"{key}/points"] = np.stack([points(frame) for frame in jobs["frames"][key]])
         out[f"{key}/range"] = np.array([scene.frame_start, scene.frame_end, scene.render.fps / scene.render.fps_base])
         out[f"{key}/keys"] = key_frames()
         body = mesh_object()
+        out[f"{key}/smooth"] = np.array([face.use_smooth for face in body.data.polygons])
         out[f"{key}/materials"] = np.array([slot.material.name for slot in body.material_slots if slot.material], str)
         out[f"{key}/colours"] = np.array([layer.name for layer in body.data.color_attributes], str)
         if key in jobs.get("render", {}):

@@ -1,0 +1,95 @@
+"""Point caches: all vertices of all frames in one binary file, beside the rest mesh as OBJ that they move.
+
+``.pc2`` (3ds Max, Blender, Houdini; Maya converts it): "POINTCACHE2", little-endian, version 1, points, first frame,
+frames per sample, samples, then float32 x y z. ``.mdd`` (LightWave, Blender, Cinema 4D): big-endian, frames, points, one
+time in seconds for every frame, then float32 x y z. Coordinates are those of the OBJ file, samples lie one frame apart.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileFormatError
+from ..files import read_bytes, replacing
+from ..retargeting import UNITS
+from .animation import AnimatedMesh
+from .obj_sequence import write_obj
+
+_PC2 = struct.Struct("<12siiffi")
+_MAGIC = b"POINTCACHE2\0"
+MAX_BYTES = 4 << 30
+
+
+def samples(mesh: AnimatedMesh) -> Iterator[np.ndarray]:
+    """(V, 3) mm at every whole frame, the head's median place at the origin; between two frames of the take, linear."""
+    codes = mesh.codes
+    for code in range(count_samples(mesh)):
+        after = int(np.searchsorted(codes, code - 1e-9))
+        if after >= len(codes) or abs(codes[after] - code) < 1e-9 or after == 0:
+            yield mesh.shape(min(after, len(codes) - 1), posed=True) - mesh.centre
+            continue
+        share = (code - codes[after - 1]) / (codes[after] - codes[after - 1])
+        pair = mesh.shape(after - 1, posed=True), mesh.shape(after, posed=True)
+        yield (1 - share) * pair[0] + share * pair[1] - mesh.centre
+
+
+def count_samples(mesh: AnimatedMesh) -> int:
+    """Whole frames from the first to the last."""
+    return int(np.floor(mesh.codes[-1] + 1e-9)) + 1
+
+
+def cache_bytes(mesh: AnimatedMesh) -> int:
+    """About how many bytes :func:`write_point_cache` writes into the cache."""
+    return 12 * count_samples(mesh) * len(mesh.neutral)
+
+
+def rest_mesh(path: str | os.PathLike) -> Path:
+    """The OBJ file beside a cache."""
+    return Path(path).with_suffix(".obj")
+
+
+def write_point_cache(
+    path: str | os.PathLike, mesh: AnimatedMesh, unit: str = "m", progress: Callable[..., Iterable] = lambda it, **_: it
+) -> None:
+    """Write ``.mdd`` or ``.pc2`` and :func:`rest_mesh` beside it, each whole or not at all.
+
+    ``unit`` of lengths: "m", "cm" or "mm". ``progress`` wraps the frames (``tqdm``).
+    """
+    path, count, points = Path(path), count_samples(mesh), len(mesh.neutral)
+    big = path.suffix.lower() == ".mdd"
+    with replacing(path) as temporary, open(temporary, "wb") as stream:
+        if big:
+            stream.write(struct.pack(">ii", count, points))
+            stream.write((np.arange(count) / mesh.fps).astype(">f4").tobytes())
+        else:
+            stream.write(_PC2.pack(_MAGIC, 1, points, 0.0, 1.0, count))
+        for number, vertices in enumerate(progress(samples(mesh), total=count)):
+            if number == 0:
+                write_obj(rest_mesh(path), vertices, mesh.triangles, mesh.colours, unit)
+            stream.write((vertices / UNITS[unit]).astype(">f4" if big else "<f4").tobytes())
+
+
+def read_point_cache(path: str | os.PathLike) -> np.ndarray:
+    """(F, V, 3) float32 of an ``.mdd`` or ``.pc2`` file, in its own unit; raises :class:`FileFormatError`."""
+    path = Path(path)
+    content = read_bytes(path, MAX_BYTES)
+    try:
+        if path.suffix.lower() == ".mdd":
+            count, points = struct.unpack_from(">ii", content)
+            kind, offset = ">f4", 8 + 4 * count
+        else:
+            magic, version, points, _, _, count = _PC2.unpack_from(content)
+            kind, offset = "<f4", _PC2.size
+            if magic != _MAGIC or version != 1:
+                raise FileFormatError(f"{path}: not a point cache of version 1")
+    except struct.error:
+        raise FileFormatError(f"{path}: shorter than its header") from None
+    size = 12 * count * points
+    if count < 0 or points < 0 or len(content) != offset + size:
+        raise FileFormatError(f"{path}: {count} frames of {points} points take {offset + size} bytes, not {len(content)}")
+    return np.frombuffer(content, kind, offset=offset).astype(np.float32).reshape(count, points, 3)
