@@ -10,16 +10,20 @@ import zipfile
 
 import numpy as np
 import pytest
+from export_scene import tracked_result
 from recordings import talking_head
 from test_result import actor, build, tracked_frame  # noqa: F401  (actor is a fixture)
 
 from adaptiveface import npz
 from adaptiveface.cli import main
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError, FrameError, TrackingError
+from adaptiveface.export import animation, components
+from adaptiveface.export.animation import actor_animation
 from adaptiveface.files import blocks, map_member
 from adaptiveface.parameters import Parameters
 from adaptiveface.pipeline import track_to_file
 from adaptiveface.result import Result, ResultBuilder
+from adaptiveface.retargeting.retarget import head_meshes
 from adaptiveface.rows import ROWS, discard, unfinished_folder
 from adaptiveface.sensors import Recording
 
@@ -207,3 +211,63 @@ def test_saving_and_loading_take_no_memory_for_long_takes(tmp_path):
     """9,000 frames are 720 MiB on the disk; saving and loading them adds less than 150 MiB to the process."""
     run = subprocess.run([sys.executable, "-c", GROWTH, "9000", tmp_path], capture_output=True, text=True, check=True)
     assert int(run.stdout) < 150
+
+
+def test_long_takes_are_exported_within_the_tolerance(monkeypatch):
+    """A sixth of the frames is decomposed, the others are looked at in blocks: what they need besides is added."""
+    rig, result, v4 = tracked_result(frames=48)
+    exact = actor_animation(result, rig, tolerance=0.05)
+    monkeypatch.setattr(components, "SAMPLE", 8)
+    seen = []
+    monkeypatch.setattr(animation, "head_meshes", lambda r, frames: seen.append(len(frames)) or head_meshes(r, frames))
+    mesh = actor_animation(result, rig, tolerance=0.05)
+    assert np.linalg.norm([mesh.shape(f) - v4[f] for f in range(48)], axis=2).max() < 0.051
+    assert len(mesh.targets) <= len(exact.targets) + 8
+    bare = actor_animation(result, tolerance=0.05)
+    assert np.linalg.norm([bare.shape(f) - v4[f] for f in range(48)], axis=2).max() < 0.051
+    assert np.abs(mesh.weights[:, 23:]).max() <= 1 + 1e-6 and max(seen) <= 48
+
+
+def test_the_fewest_components_are_taken():
+    rng = np.random.default_rng(0)
+    shapes = rng.normal(size=(5, 40, 3))
+    amounts = rng.normal(size=(30, 5)) * [100, 30, 10, 3, 0.001]
+    meshes = np.tensordot(amounts, shapes, axes=1)
+    targets, weights = components.principal_targets(meshes.__getitem__, 30, 0.1)
+    assert len(targets) == 4 and np.abs(weights).max() == 1
+    error = np.linalg.norm(np.tensordot(weights, targets, axes=1) - meshes, axis=2).max()
+    assert error <= 0.1
+    assert len(components.principal_targets(np.zeros((3, 40, 3)).__getitem__, 3, 0.1)[0]) == 0
+
+
+EXPORT = """
+import resource, sys
+import numpy as np
+from export_scene import tracked_result
+from adaptiveface.export.animation import actor_animation
+from adaptiveface.result import Result
+import dataclasses
+actor, result, _ = tracked_result()
+index = np.arange(int(sys.argv[1])) % len(result)
+many = {entry.name: getattr(result, entry.name)[index] for entry in dataclasses.fields(Result)
+        if np.ndim(getattr(result, entry.name)) and len(getattr(result, entry.name)) == len(result)
+        and isinstance(getattr(result, entry.name), np.ndarray)}
+dataclasses.replace(result, reasons=("",) * len(index), **many).save(sys.argv[2])
+del many
+result = Result.load(sys.argv[2])
+actor_animation(dataclasses.replace(result, vertices=result.vertices[:600], rigid=result.rigid[:600],
+                coefficients=result.coefficients[:600], timestamps=np.arange(600) / 30), actor)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(len(actor_animation(result, actor)), (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peak memory as Linux counts it")
+def test_export_takes_no_memory_for_long_takes(tmp_path):
+    """2,400 frames are 190 MiB of vertices; four times the frames of the first export must not take 100 MiB more."""
+    here = os.pathsep.join([os.path.dirname(__file__), *filter(None, [os.environ.get("PYTHONPATH")])])
+    run = subprocess.run([sys.executable, "-c", EXPORT, "2400", str(tmp_path / "r.npz")], capture_output=True, text=True,
+                         check=True, env=os.environ | {"PYTHONPATH": here})  # fmt: skip
+    frames, more = map(int, run.stdout.split())
+    assert frames == 2400 and more < 100

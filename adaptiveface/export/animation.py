@@ -11,8 +11,9 @@ from ..errors import FileFormatError
 from ..mesh import transform_points, vertex_normals
 from ..result import Result
 from ..retargeting.character import Character
-from ..retargeting.retarget import Performance, head_frames
+from ..retargeting.retarget import Performance, head_blocks, head_meshes
 from ..timing import frame_rate, increasing, time_codes
+from .components import Meshes, frame_blocks, principal_targets
 
 #: Metres in a millimetre: what glTF, USD and the streams count in.
 METRES = 1e-3
@@ -56,10 +57,9 @@ class AnimatedMesh:
 
     def shape(self, frame: int, posed: bool = False) -> np.ndarray:
         """(V, 3) mm in the head frame, or with the head's motion in the view frame."""
-        flat = self.targets.reshape(len(self.targets), -1)
+        flat = self.targets.reshape(len(self.targets), self.neutral.size)
         vertices = self.neutral + (self.weights[frame] @ flat).reshape(-1, 3)
         return transform_points(self.rigid[frame], vertices) if posed else vertices
-
 
     @property
     def codes(self) -> np.ndarray:
@@ -122,18 +122,18 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
     principal components alone. All weights are in [0, 1] (:func:`in_slider_range`). Raises :class:`FileFormatError`
     when actor and result do not belong together.
     """
-    shapes = head_frames(result)
-    names, targets, weights = [], np.zeros((0, shapes.shape[1], 3)), np.zeros((len(shapes), 0))
-    neutral = shapes.mean(axis=0)
+    size = result.vertices.shape[1]
+    names, targets, weights = [], np.zeros((0, size, 3)), np.zeros((len(result), 0))
     if actor is not None:
         names, neutral, targets, weights = _rig(result, actor)
-    residual = shapes - neutral - np.tensordot(weights, targets, axes=1)
+    else:
+        neutral = sum(meshes.sum(axis=0) for _, meshes in head_blocks(result)) / len(result)
     if actor is not None and result.correctives is not None and len(result.correctives):
-        shape, amount = _projected(residual, result.correctives.astype(float))
+        rest = _without(result, neutral, targets, weights)
+        shape, amount = _projected(rest, len(result), result.correctives.astype(float))
         names += [f"corrective{k:02d}" for k in range(len(shape))]
         targets, weights = np.concatenate([targets, shape]), np.column_stack([weights, amount])
-        residual = residual - np.tensordot(amount, shape, axes=1)
-    shape, amount = _principal_targets(residual, tolerance)
+    shape, amount = principal_targets(_without(result, neutral, targets, weights), len(result), tolerance)
     names += [f"residual{k:03d}" for k in range(len(shape))]
     targets, weights = np.concatenate([targets, shape]), np.column_stack([weights, amount])
     mesh = AnimatedMesh("actor", neutral, result.triangles, tuple(names), targets, weights,
@@ -141,9 +141,13 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
     return in_slider_range(mesh)
 
 
-def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray, tolerance: float = 0.2) -> AnimatedMesh:
-    """The mesh with displacements (F, V, 3) mm added as further morph targets, within ``tolerance`` mm."""
-    shape, amount = _principal_targets(displacements, tolerance)
+def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray | Meshes, tolerance: float = 0.2) -> AnimatedMesh:
+    """The mesh with displacements added as further morph targets, within ``tolerance`` mm.
+
+    ``displacements``: (F, V, 3) mm, or a function that gives those of the frames it is asked for.
+    """
+    meshes = displacements if callable(displacements) else displacements.__getitem__
+    shape, amount = principal_targets(meshes, len(mesh), tolerance)
     names = tuple(f"corrective{k:02d}" for k in range(len(shape)))
     rich = replace(mesh, target_names=mesh.target_names + names, targets=np.concatenate([mesh.targets, shape]),
                    weights=np.column_stack([mesh.weights, amount]))  # fmt: skip
@@ -177,29 +181,20 @@ def _rig(result: Result, actor: Actor):
     return list(result.expression_names), actor.neutral, actor.blendshapes[rows], coefficients
 
 
-def _projected(residual: np.ndarray, correctives: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _without(result: Result, neutral: np.ndarray, targets: np.ndarray, weights: np.ndarray) -> Meshes:
+    """What the targets leave of the final meshes in the head frame."""
+    flat = targets.reshape(len(targets), neutral.size)
+
+    def rest(frames: np.ndarray) -> np.ndarray:
+        """(f, N, 3) mm of frames (f,)."""
+        return head_meshes(result, frames) - neutral - (weights[frames] @ flat).reshape(len(frames), -1, 3)
+
+    return rest
+
+
+def _projected(rest: Meshes, count: int, correctives: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal correctives (K, N, 3) scaled to a largest weight of 1 -> targets (K, N, 3), weights (F, K)."""
-    amount = np.tensordot(residual, correctives, axes=([1, 2], [1, 2]))
+    flat = correctives.reshape(len(correctives), -1)
+    amount = np.concatenate([rest(frames).reshape(len(frames), -1) @ flat.T for frames in frame_blocks(count)])
     scale = np.maximum(np.abs(amount).max(axis=0), 1e-9)
     return correctives * scale[:, None, None], amount / scale
-
-
-def _principal_targets(residual: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fewest principal components that leave no vertex of residual (F, N, 3) farther off than ``tolerance`` mm."""
-    count, size = residual.shape[:2]
-    flat = residual.reshape(count, -1)
-    values, vectors = np.linalg.eigh(flat @ flat.T)
-    vectors = vectors[:, ::-1][:, : int((values > 1e-12 * max(values[-1], 1e-30)).sum())]
-
-    def error(k: int) -> float:
-        """Largest distance of a vertex from where it is, with ``k`` vectors."""
-        rest = flat - vectors[:, :k] @ (vectors[:, :k].T @ flat)
-        return float(np.linalg.norm(rest.reshape(count, size, 3), axis=2).max(initial=0.0))
-
-    low, high = 0, vectors.shape[1]
-    while low < high:  # the error falls with k up to small ripples, which the tolerance's margin covers
-        middle = (low + high) // 2
-        low, high = (low, middle) if error(middle) <= tolerance else (middle + 1, high)
-    shape = (vectors[:, :low].T @ flat).reshape(low, size, 3)
-    scale = np.maximum(np.abs(vectors[:, :low]).max(axis=0, initial=1e-12), 1e-12)
-    return shape * scale[:, None, None], vectors[:, :low] / scale

@@ -19,7 +19,7 @@ from ..result import Result
 from ..retargeting import COEFFICIENTS, UNITS
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, is_gltf, load_character
-from ..retargeting.correctives import character_correctives
+from ..retargeting.correctives import carried_correctives
 from ..retargeting.retarget import Performance, coverage, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
 from ..timing import clean_times, frame_rate
@@ -181,7 +181,7 @@ def animated_character(
         return mesh
     if actor is None:
         raise ParameterError("--correctives needs the actor's rig: --actor actor.npz")
-    return with_correctives(mesh, character_correctives(result, actor, character, options.coefficients))
+    return with_correctives(mesh, carried_correctives(result, actor, character, options.coefficients))
 
 
 def write_performance_video(

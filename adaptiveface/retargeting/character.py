@@ -58,7 +58,7 @@ class Character:
 
     def shape(self, weights: np.ndarray) -> np.ndarray:
         """(V, 3) mm, or (F, V, 3), for weights (E,) or (F, E) of the expressions."""
-        flat = self.expressions.reshape(len(self.expressions), -1)
+        flat = self.expressions.reshape(len(self.expressions), self.neutral.size)
         return self.neutral + (weights @ flat).reshape(*np.shape(weights)[:-1], -1, 3)
 
     @property

@@ -8,6 +8,8 @@ linear in the deformation gradients, so that the expressions of the target itsel
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..actor import Actor
@@ -15,7 +17,7 @@ from ..blendshapes import deformation_transfer
 from ..errors import ParameterError
 from ..result import Result
 from .character import Character
-from .retarget import driving_coefficients, head_frames
+from .retarget import driving_coefficients, head_meshes
 
 #: Frames transferred at once: bounds the memory of the right-hand sides.
 _CHUNK = 64
@@ -42,19 +44,31 @@ def transferred_correctives(
 def character_correctives(
     result: Result, actor: Actor, character: Character, coefficients: str = "resolved"
 ) -> np.ndarray:
-    """(F, V, 3) mm for all V vertices of a character (zero beyond its skin).
+    """(F, V, 3) mm for all V vertices of a character (zero beyond its skin), all in memory; see :func:`carried_correctives`.
 
     ``coefficients``: those that drive the character, "resolved" or "initial" (v4 - v1 in the paper's sense). Raises
     :class:`ParameterError` when the character's skin is not the actor's mesh.
     """
+    return carried_correctives(result, actor, character, coefficients)(np.arange(len(result)))
+
+
+def carried_correctives(
+    result: Result, actor: Actor, character: Character, coefficients: str = "resolved"
+) -> Callable[[np.ndarray], np.ndarray]:
+    """:func:`character_correctives` of a long take: a function that gives (f, V, 3) mm of the frames (f,) it is asked for."""
     if not character.shares_topology(actor.triangles):
         raise ParameterError(f"correctives cannot be carried to '{character.name}': its mesh is not the actor's")
     x = driving_coefficients(result, coefficients, actor)
     rows = [actor.expression_names.index(name) for name in result.expression_names]
     basis = actor.blendshapes[rows].reshape(len(rows), -1)
-    v1 = actor.neutral + (x @ basis).reshape(len(x), -1, 3)
-    skin = len(actor.neutral)
-    out = np.zeros((len(x), *character.neutral.shape))
-    target, v4 = character.neutral[:skin], head_frames(result)
-    out[:, :skin] = transferred_correctives(actor.neutral, v1, v4, target, actor.triangles)
-    return out
+    target = character.neutral[: len(actor.neutral)]
+
+    def carried(frames: np.ndarray) -> np.ndarray:
+        """(f, V, 3) mm of frames (f,)."""
+        v1 = actor.neutral + (x[frames] @ basis).reshape(len(frames), -1, 3)
+        out = np.zeros((len(frames), *character.neutral.shape))
+        v4 = head_meshes(result, frames)
+        out[:, : len(target)] = transferred_correctives(actor.neutral, v1, v4, target, actor.triangles)
+        return out
+
+    return carried

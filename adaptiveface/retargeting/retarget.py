@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..actor import Actor
 from ..errors import ParameterError
+from ..files import release
 from ..mesh import transform_points
 from ..result import Result
 from ..timing import frame_rate, increasing
@@ -65,13 +67,32 @@ def driving_coefficients(result: Result, coefficients: str = "resolved", actor: 
     if actor is None:
         return result.coefficients.astype(float)
     resolve = SparseResolve.as_tracked(actor, result.expression_names, blendshape_parameters(result))
-    return np.stack([resolve(v4, x) for v4, x in zip(head_frames(result), result.coefficients, strict=True)])
+    out = np.empty((len(result), len(result.expression_names)))
+    for part, meshes in head_blocks(result):
+        out[part] = [resolve(v4, x) for v4, x in zip(meshes, result.coefficients[part], strict=True)]
+    return out
 
 
 def head_frames(result: Result) -> np.ndarray:
-    """(F, N, 3) mm: the final meshes v4 in the head frame."""
-    inverse = np.linalg.inv(result.rigid.astype(float))
-    return np.stack([transform_points(m, v.astype(float)) for m, v in zip(inverse, result.vertices, strict=True)])
+    """(F, N, 3) mm: the final meshes v4 in the head frame, all in memory; :func:`head_blocks` for long takes."""
+    return head_meshes(result, np.arange(len(result)))
+
+
+def head_meshes(result: Result, frames: np.ndarray) -> np.ndarray:
+    """(f, N, 3) mm: the final meshes v4 of the frames with numbers (f,), in the head frame."""
+    inverse = np.linalg.inv(result.rigid[frames].astype(float))
+    meshes = np.empty((len(frames), *result.vertices.shape[1:]))
+    for mesh, matrix, frame in zip(meshes, inverse, frames, strict=True):
+        mesh[:] = transform_points(matrix, result.vertices[frame].astype(float))
+    release(result.vertices)
+    return meshes
+
+
+def head_blocks(result: Result, size: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
+    """The final meshes v4 in the head frame, ``size`` frames at a time: which, and (f, N, 3) mm."""
+    for start in range(0, len(result), size):
+        part = slice(start, min(start + size, len(result)))
+        yield part, head_meshes(result, np.arange(part.start, part.stop))
 
 
 def retarget(
