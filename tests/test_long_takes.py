@@ -154,10 +154,11 @@ main(sys.argv[1:])
 def test_a_killed_track_leaves_its_frames_and_an_old_result(tmp_path, capsys):
     talking_head(tmp_path / "take").save(tmp_path / "actor.npz")
     out = tmp_path / "r.npz"
-    out.write_bytes(b"an older result")
     words = ["track", tmp_path / "take", "--actor", tmp_path / "actor.npz", "--out", out]
+    assert main([str(word) for word in words]) == 0
+    older = out.read_bytes()
     run = subprocess.run([sys.executable, "-c", KILLED, *map(str, words)], capture_output=True)
-    assert run.returncode == -signal.SIGKILL and out.read_bytes() == b"an older result"
+    assert run.returncode == -signal.SIGKILL and out.read_bytes() == older
     left = unfinished_folder(out)
     assert left.name == "r.unfinished" and len(Result.load(left)) == 5
     assert main(["export", str(left), "--format", "arkit-csv", "--out", str(tmp_path / "r.csv")]) == 0
