@@ -187,7 +187,7 @@ BAD_COMMANDS = {
     "no source": (["track", "nowhere", "--out", "{tmp}/r.npz"], "possible sources"),
     "bad seed": (["track", "synthetic:one", "--out", "{tmp}/r.npz"], "seed 'one'"),
     "unknown noise": (["capture", "synthetic:1:loud", "--out", "{tmp}/a.npz"], "'loud'"),
-    "output folder missing": (["track", "{take}", "--out", "{tmp}/no/r.npz"], "does not exist"),
+    "output folder missing": (["track", "{take}", "--out", "{take}/intrinsic.json/r.npz"], "cannot be made"),
     "output is a folder": (["track", "{take}", "--out", "{tmp}/folder.npz"], "is a folder"),
     "output is no npz": (["capture", "{take}", "--out", "{tmp}/actor.zip"], "must end in .npz"),
     "unknown stage": (["track", "{take}", "--out", "{tmp}/r.npz", "--set", "magic.w=1"], "unknown stage 'magic'"),

@@ -64,7 +64,7 @@ def test_bad_requests_end_in_one_line_before_any_work(take, tmp_path, capsys):
     recording, actor = take
     for options, words in (
         ((recording, "--headless", "--out", tmp_path / "r.txt"), "must end in .npz"),
-        ((recording, "--headless", "--out", tmp_path / "no" / "r.npz"), "does not exist"),
+        ((recording, "--headless", "--out", recording / "intrinsic.json" / "r.npz"), "cannot be made"),
         ((recording, "--headless", "--record", recording), "is also read by this command"),
         ((recording, "--headless", "--vmc", "a:99999999"), "HOST:PORT"),
         (("kinect9", "--headless"), "possible sensors"),

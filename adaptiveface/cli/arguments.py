@@ -6,12 +6,14 @@ import argparse
 from collections.abc import Callable
 
 from ..errors import ParameterError
+from ..export.arguments import add_field_of_view
 
 
 def add_source(command: argparse.ArgumentParser) -> None:
     """``SOURCE``, numbered frames."""
     text = "a recording folder, a video (colour only), or synthetic[:SEED[:NOISE]]"
     command.add_argument("source", metavar="SOURCE", help=text)
+    add_field_of_view(command)
     add_mirrored(command)
 
 
@@ -28,11 +30,11 @@ def source_name(args: argparse.Namespace) -> str:
     return name + MIRRORED if args.mirrored and MIRRORED not in name else name
 
 
-def opened(text: str):
+def opened(text: str, field_of_view: float | None = None):
     """The source named by ``text``; what it converted or repaired is printed, one line each."""
     from ..sensors import open_source
 
-    source = open_source(text)
+    source = open_source(text, field_of_view)
     for note in getattr(source, "notes", ()):
         print(note)
     return source

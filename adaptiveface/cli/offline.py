@@ -88,7 +88,7 @@ def run_capture(args: argparse.Namespace) -> int:
     check_output(args.out, "actor", [args.source])
     from ..pipeline import capture_from
 
-    actor = capture_from(opened(source_name(args)), chosen, args.neutral_frames, progress=True)
+    actor = capture_from(opened(source_name(args), args.fov), chosen, args.neutral_frames, progress=True)
     actor.save(args.out)
     print(f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, "
           f"{len(actor.scan_points)} scan points")  # fmt: skip
@@ -122,7 +122,7 @@ def run_track(args: argparse.Namespace) -> int:
     from ..rows import discard, unfinished_folder
 
     actor = Actor.load(args.actor) if args.actor else None
-    source = opened(source_name(args))
+    source = opened(source_name(args), args.fov)
     if actor is None:
         actor = capture_from(source, chosen, args.neutral_frames, progress=True)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..errors import ParameterError
 from ..export.arguments import add_destinations, add_stream_arguments
 from .arguments import add_mirrored, add_settings, add_source, opened, parameters, source_name, whole
 
@@ -70,10 +71,12 @@ def run_stream(args: argparse.Namespace) -> int:
     if is_live(args.source):
         from ..live.command import run_live_stream
 
+        if args.fov is not None:
+            raise ParameterError(f"{args.source}: --fov is for videos; a webcam takes webcam:INDEX,fov=DEGREES")
         return run_live_stream(args, chosen)
     from ..export.command import run_stream as run
 
-    return run(opened(args.source), chosen, args)
+    return run(opened(args.source, args.fov), chosen, args)
 
 
 def add_live(commands) -> None:

@@ -32,9 +32,31 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
                          help="also carry v4 - v1 to a character of the actor's topology")  # fmt: skip
     command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside the result, if any")
     command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
+    add_field_of_view(command)
     command.add_argument("--compare", action="store_true",
                          help="mp4, gif: the character by initial and by re-solved coefficients (figure 8)")  # fmt: skip
     command.add_argument("--turntable", action="store_true", help="mp4, gif: the camera circles the character")
+
+
+def add_field_of_view(command: argparse.ArgumentParser) -> None:
+    """``--fov``, of a video."""
+    command.add_argument("--fov", type=degrees, metavar="DEGREES",
+                         help="of a video: what its camera saw across the longer side (default: by an intrinsic.json "
+                         "beside it, else 60)")  # fmt: skip
+
+
+def degrees(text: str) -> float:
+    """The argparse type of a field of view."""
+    from ..camera import FIELD_OF_VIEW_RANGE
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    low, high = FIELD_OF_VIEW_RANGE
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a field of view between {low:g} and {high:g} degrees")
+    return value
 
 
 def add_stream_arguments(command: argparse.ArgumentParser) -> None:

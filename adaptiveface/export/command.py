@@ -66,7 +66,7 @@ def run_export(args: argparse.Namespace) -> int:
         from ..sensors import open_source
         from ..sensors.orientation import as_tracked
 
-        source = as_tracked(open_source(args.source), result) if args.source else None
+        source = as_tracked(open_source(args.source, args.fov), result) if args.source else None
         if source is not None and len(source) != len(result):
             raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
         meshes = [] if args.character == "actor" else [animated(result, actor, options)]

@@ -3,6 +3,7 @@
 from .archive import Archive
 from .atomic import reason, replacing, replacing_folder
 from .bounded import open_regular, parse_json, read_bytes, read_json, read_text
+from .folders import make_parent
 from .mapped import blocks, map_member, release
 from .outputs import (
     check_distinct,
@@ -24,6 +25,7 @@ __all__ = [
     "check_no_input",
     "check_output",
     "check_output_folder",
+    "make_parent",
     "map_member",
     "open_regular",
     "parse_json",

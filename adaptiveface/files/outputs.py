@@ -12,6 +12,7 @@ from ..errors import AdaptiveFaceError
 from .archive import Archive
 from .atomic import check_holds_only
 from .bounded import open_regular
+from .folders import make_parent
 
 _HEAD_BYTES = 512
 
@@ -59,7 +60,7 @@ KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
 
 
 def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
-    """Refuse the path of an output file that cannot or must not be written; returns it.
+    """Refuse the path of an output file that cannot or must not be written, and make its folder; returns the path.
 
     Parameters
     ----------
@@ -80,14 +81,10 @@ def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
         raise AdaptiveFaceError(f"{path}: the output's name must end in {' or '.join(suffixes)}")
     if path.is_dir():
         raise AdaptiveFaceError(f"{path}: is a folder, the name of a file is expected")
-    folder = Path(os.path.realpath(path)).parent
-    if not folder.is_dir():
-        raise AdaptiveFaceError(f"{path}: the folder {folder} does not exist")
     check_no_input(path, inputs)
     if path.exists():
         _check_replaceable(path, name, is_one)
-    if not os.access(folder, os.W_OK):
-        raise AdaptiveFaceError(f"{path}: no permission to write in the folder {folder}")
+    make_parent(path)
     return path
 
 

@@ -21,14 +21,14 @@ from .file_player import plays
 from .live import LiveFrame, LiveSensor
 from .orientation import OrientedSource, split_mirrored
 from .recording import Recording, RecordingWriter
-from .video_file import VideoFile, is_video
+from .video_file import VIDEO_SUFFIXES, VideoFile, is_video
 
 NOISES = tuple(DEPTH_SCALES)
 
 _POSSIBLE = (
     "possible sources: a recording folder (with intrinsic.json, depth/, color/), a Record3D file (.r3d), "
     f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)}), "
-    "a video (.mp4, .mov, .avi, .webm, .mkv: colour only); with ',mirrored' at the end pictures are flipped"
+    f"a video, colour only ({', '.join(VIDEO_SUFFIXES)}); with ',mirrored' at the end pictures are flipped"
 )
 
 
@@ -53,17 +53,21 @@ class FrameSource(Protocol):
         """Frame ``index`` (0-based)."""
 
 
-def open_source(text: str) -> FrameSource:
+def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
     """The source named by ``text``: a recording folder, an .r3d file, a video, ``synthetic[:SEED[:NOISE]]``.
 
-    ``,mirrored`` at the end of any of them flips its frames: recordings as in a mirror, as selfie videos are. Raises
+    ``,mirrored`` at the end of any of them flips its frames: recordings as in a mirror, as selfie videos are.
+    ``field_of_view`` of a video, degrees across the longer side; None: see :class:`.video_file.VideoFile`. Raises
     :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
     """
     text, flipped = split_mirrored(text)
-    return OrientedSource(_open(text), mirrored=True) if flipped else _open(text)
+    source = _open(text, field_of_view)
+    return OrientedSource(source, mirrored=True) if flipped else source
 
 
-def _open(text: str) -> FrameSource:
+def _open(text: str, field_of_view: float | None) -> FrameSource:
+    if field_of_view is not None and not is_video(text) and Path(text).exists():
+        raise ParameterError(f"{text}: a field of view can be given for a video only; this source has its calibration")
     if Path(text).is_dir():
         return Recording(text)
     if text == "synthetic" or text.startswith("synthetic:"):
@@ -80,7 +84,7 @@ def _open(text: str) -> FrameSource:
         export = shlex.join(["adaptiveface", "export", text, "--character", "hag"])
         raise FileFormatError(f"{text}: a take of curves has no pictures to track; it drives characters: {export}")
     if is_video(text):
-        return VideoFile(text)
+        return VideoFile(text, field_of_view)
     if Path(text).exists():
         raise FileFormatError(f"{text}: not a folder; {_POSSIBLE}")
     raise FileFormatError(f"{text}: no such recording; {_POSSIBLE}")

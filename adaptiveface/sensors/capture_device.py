@@ -12,14 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..camera import Camera
+from ..camera import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, Camera
 from ..errors import FileFormatError
 from .intrinsics import read_intrinsics
 
-#: Horizontal field of view of a camera that brings no calibration, degrees: laptops have 55 to 70.
-FIELD_OF_VIEW = 60.0
-#: Field of view that can be asked for, degrees.
-FIELD_OF_VIEW_RANGE = (10.0, 150.0)
+__all__ = ["FIELD_OF_VIEW", "FIELD_OF_VIEW_RANGE", "as_rgb", "calibration_for", "camera_of_view", "quiet"]
 
 _level_lock, _quiet = threading.Lock(), 0
 
@@ -52,13 +49,13 @@ def camera_of_view(width: int, height: int, field_of_view: float = FIELD_OF_VIEW
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
-def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: float) -> Camera:
-    """The camera of ``intrinsics`` (an intrinsic.json) where there is one, else :func:`camera_of_view`.
+def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: float | None) -> Camera:
+    """The camera of ``field_of_view`` degrees; None: of ``intrinsics`` (an intrinsic.json) where it is, else the usual one.
 
-    Raises :class:`FileFormatError` where it is malformed or of pictures of another size.
+    Raises :class:`FileFormatError` where the file is malformed or of pictures of another size.
     """
-    if not intrinsics.is_file():
-        return camera_of_view(width, height, field_of_view)
+    if field_of_view is not None or not intrinsics.is_file():
+        return camera_of_view(width, height, FIELD_OF_VIEW if field_of_view is None else field_of_view)
     camera = read_intrinsics(intrinsics, depth_scale=1000.0)[0]
     if (camera.width, camera.height) != (width, height):
         raise FileFormatError(

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from ..errors import FileFormatError, FrameError
 from ..frame import RgbdFrame
-from .capture_device import FIELD_OF_VIEW, as_rgb, calibration_for, quiet
+from .capture_device import calibration_for
 from .matroska import is_plain_video
+from .video_stream import pictures, read_index
 
 #: Suffixes taken for plain videos; .mkv unless Azure Kinect's recorder wrote it, whose depth must not be lost silently.
-VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".webm", ".mkv")
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".webm", ".mkv", ".wmv", ".mpg", ".mpeg", ".mts", ".3gp", ".flv", ".ogv")
 
 
 def is_video(path: str | os.PathLike) -> bool:
@@ -28,72 +29,72 @@ def is_video(path: str | os.PathLike) -> bool:
 class VideoFile:
     """Frames of a video: colour only, depth all 0. ``colour_only`` is True; ``camera``, ``fps``, ``name``, ``path``.
 
-    ``field_of_view`` degrees across the longer side, unless an intrinsic.json lies beside the file; ``mirrored`` flips
-    the pictures, for videos recorded as in a mirror. ``len()`` is the number that the file states, or counted where it
-    states none; reading past its true end raises :class:`FrameError`. Raises :class:`FileFormatError`.
+    ``field_of_view`` degrees across the longer side; None: of an intrinsic.json beside the file, else 60. ``mirrored``
+    flips the pictures, for videos recorded as in a mirror. ``len()``: the frames that play, without those that an edit list
+    leaves out and those behind the place where a file is cut off; ``timestamps`` (len,) s: when each is shown, from the
+    first; ``notes``: what is missing. Raises :class:`FileFormatError`, and :class:`MissingExtraError` without PyAV.
     """
 
     colour_only, has_features = True, False
 
     def __init__(
-        self, path: str | os.PathLike, field_of_view: float = FIELD_OF_VIEW, mirrored: bool = False
+        self, path: str | os.PathLike, field_of_view: float | None = None, mirrored: bool = False
     ) -> None:
         self.path, self.name, self.mirrored = Path(path), Path(path).name, mirrored
-        self._capture, self._picture, self._next = None, None, 0
+        self._pictures: Iterator[tuple[int | None, np.ndarray]] | None = None
+        self._found: tuple[int, np.ndarray] | None = None  # the frame decoded last
         if not self.path.is_file():
             raise FileFormatError(f"{self.path}: no such file")
-        first = self._decode(0)
+        index = read_index(self.path)
+        self.timestamps, self.fps, self._stamps = index.seconds, index.fps, index.stamps
+        first = self._decode(0) if len(self.timestamps) else None
         if first is None:
             raise FileFormatError(f"{self.path}: not a video that can be decoded, or one without pictures")
         height, width = first.shape[:2]
         self.camera = calibration_for(width, height, self.path.parent / "intrinsic.json", field_of_view)
-        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
-        self.fps = rate if 1.0 <= rate <= 240.0 else 30.0
-        stated = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self._length = int(stated) if 1 <= stated < 1e8 else self._count()
+        missing = index.stated - len(self)
+        self.notes = (f"{self.path}: is cut off: {len(self)} of its {index.stated} frames can be read",) if missing > 1 else ()
 
     def __len__(self) -> int:
-        return self._length
+        return len(self.timestamps)
 
     def read(self, index: int) -> RgbdFrame:
         """Frame ``index`` (0-based), quick in order. Raises :class:`FrameError`, :class:`IndexError` outside."""
-        if not 0 <= index < self._length:
-            raise IndexError(f"frame {index} of a video of {self._length}")
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of a video of {len(self)}")
         picture = self._decode(index)
         if picture is None:
             raise FrameError(f"{self.path}: frame {index} cannot be decoded")
         if picture.shape[:2] != (self.camera.height, self.camera.width):
             raise FrameError(f"{self.path}: frame {index} has another size than the first one")
+        colour = np.ascontiguousarray(picture[:, ::-1]) if self.mirrored else picture
         depth = np.zeros(picture.shape[:2], np.float32)
-        return RgbdFrame(depth, self.camera, as_rgb(picture, self.mirrored), index, index / self.fps)
+        return RgbdFrame(depth, self.camera, colour, index, float(self.timestamps[index]))
 
     def close(self) -> None:
         """Release the file; reading opens it again."""
-        capture, self._capture, self._picture = self._capture, None, None
-        if capture is not None:
-            capture.release()
+        pictures, self._pictures, self._found = self._pictures, None, None
+        if pictures is not None:
+            pictures.close()
 
     def _decode(self, index: int) -> np.ndarray | None:
-        """The picture (H, W, 3) BGR of a frame, decoding from the start where it lies behind: exact, unlike seeking."""
-        if self._picture is not None and index == self._next - 1:
-            return self._picture
-        self._picture = None
-        with quiet():
-            if self._capture is None or index < self._next:
+        """The picture (H, W, 3) RGB of a frame, decoding from the start where it lies behind: exact, unlike seeking."""
+        if self._pictures is None or (self._found is not None and index < self._found[0]):
+            self.close()
+            self._pictures = pictures(self.path)
+        while self._found is None or self._found[0] < index:
+            stamp, picture = next(self._pictures, (None, None))
+            if picture is None:
                 self.close()
-                self._capture, self._next = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG), 0
-            while self._next <= index:
-                self._next += 1
-                if not self._capture.grab():
-                    return None
-            found, picture = self._capture.retrieve()
-        self._picture = picture if found else None
-        return self._picture
+                return None
+            number = self._number(stamp)
+            if number is not None:
+                self._found = number, picture
+        return self._found[1] if self._found[0] == index else None
 
-    def _count(self) -> int:
-        with quiet():
-            count = 1
-            while self._capture.grab():
-                count += 1
-        self._picture, self._next = None, count + 1  # at the end: the next frame is found from the start
-        return count
+    def _number(self, stamp: int | None) -> int | None:
+        """Which frame has a stamp, None for one that does not play."""
+        if self._stamps is None:
+            return 0 if self._found is None else self._found[0] + 1
+        place = int(np.searchsorted(self._stamps, stamp)) if stamp is not None else len(self)
+        return place if place < len(self) and self._stamps[place] == stamp else None

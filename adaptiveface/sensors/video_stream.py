@@ -1,0 +1,162 @@
+"""The picture stream of a video file through PyAV: which frames play, when, and their pictures in order.
+
+OpenCV states the number of frames that the index lists, edit lists and damage or not, and one rate for all of them. FFmpeg's
+demuxer knows better: the packets say when each frame is shown and which ones the edit list leaves out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileFormatError, MissingExtraError
+from ..timing import DEFAULT_RATE, frame_rate, standard_rate
+
+#: Larger pictures are not decoded, pixels.
+MAX_PIXELS = 8192 * 8192
+#: The last frames are decoded to find where a file ends, unless they are more than this and nothing is missing.
+MAX_TAIL = 600
+#: A file that names other files or addresses (a play list under a video's name) is none of ours.
+_FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,asf,mpegts,mpeg,mpegvideo,flv,ogg"
+_ONLY = {"protocol_whitelist": "file", "format_whitelist": _FORMATS}
+
+
+@lru_cache(maxsize=1)
+def av_module():
+    """PyAV, which is quiet unless a log level is set (then its decoding threads may wait for ever for Python's lock).
+
+    Raises :class:`MissingExtraError`.
+    """
+    try:
+        import av
+    except ImportError as error:
+        hint = 'pip install "adaptiveface[landmarks]" (or: pip install av)'
+        raise MissingExtraError(f"reading a video needs PyAV: {hint} ({error})") from None
+    return av
+
+
+@dataclass(frozen=True)
+class VideoIndex:
+    """``seconds`` (F,) from the first frame shown; ``stamps`` (F,) int64 in the stream's unit, None where it has none.
+
+    ``fps`` frames per second; ``stated``: how many frames the file promises to show; more than F where it is cut off.
+    """
+
+    seconds: np.ndarray
+    stamps: np.ndarray | None
+    fps: float
+    stated: int
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple]:
+    """The container and its picture stream; FFmpeg's errors as :class:`FileFormatError`."""
+    av = av_module()
+    try:
+        with av.open(str(path), options=_ONLY, metadata_errors="replace") as container:
+            stream = next((s for s in container.streams.video if not _is_cover(s)), None)
+            if stream is None:
+                raise FileFormatError(f"{path}: not a video that can be decoded, or one without pictures")
+            if stream.codec_context is None or stream.width * stream.height > MAX_PIXELS:
+                raise FileFormatError(f"{path}: pictures of {stream.width} x {stream.height} pixels are not decoded")
+            stream.thread_type = "AUTO"
+            yield container, stream
+    except (av.error.FFmpegError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise FileFormatError(f"{path}: not a video that can be decoded, or one without pictures ({reason})") from None
+
+
+def _is_cover(stream) -> bool:
+    return bool(stream.disposition & av_module().stream.Disposition.attached_pic)
+
+
+def read_index(path: Path) -> VideoIndex:
+    """The frames of a video that play. Raises :class:`FileFormatError` where there is none."""
+    with _opened(path) as (container, stream):
+        rate, stated = float(stream.average_rate or stream.guessed_rate or 0), int(stream.frames)
+        rate = standard_rate(rate) if 0.1 <= rate <= 1000 else DEFAULT_RATE
+        shown, keys, listed = _packets(container, stream)
+        if shown is None:  # AVI: no times, constant rate by its nature
+            return VideoIndex(np.arange(_count(container, stream)) / rate, None, rate, stated)
+        promised = len(shown) + max(0, stated - listed)
+        tail = int((shown >= keys[-1]).sum()) if len(keys) else len(shown)
+        if stated != listed or tail <= MAX_TAIL:
+            shown = shown[shown <= _last_decodable(container, stream, keys)]
+        seconds = (shown - shown[:1]) * float(stream.time_base)
+    return VideoIndex(seconds, shown, frame_rate(seconds) if len(seconds) > 1 else rate, promised)
+
+
+def _packets(container, stream) -> tuple[np.ndarray | None, np.ndarray, int]:
+    """Stamps of the frames that play, in order, those of the key frames, and how many packets there are."""
+    shown, keys, listed = [], [], 0
+    timed = "avi" not in container.format.name.split(",")
+    for packet in _demuxed(container, stream):
+        listed += 1
+        timed = timed and packet.pts is not None
+        if timed and packet.is_keyframe:
+            keys.append(packet.pts)
+        if timed and not packet.is_discard:
+            shown.append(packet.pts)
+    stamps = np.unique(np.array(shown, np.int64)) if timed and shown else None
+    return stamps, np.array(sorted(keys), np.int64), listed
+
+
+def _demuxed(container, stream) -> Iterator:
+    """Packets with content, up to the end or to where the file is cut."""
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets)
+        except (StopIteration, av_module().error.FFmpegError):
+            return
+        if packet.size:
+            yield packet
+
+
+def _last_decodable(container, stream, keys: np.ndarray) -> int:
+    """Stamp of the last frame that can be decoded: a file that is cut off lists frames behind it."""
+    for key in keys[::-1][:3]:
+        container.seek(int(key), stream=stream, backward=True)
+        last = max(_sound(container, stream), default=None)
+        if last is not None:
+            return last
+    container.seek(0)
+    return max(_sound(container, stream), default=-(1 << 62))
+
+
+def _sound(container, stream) -> Iterator[int]:
+    """Stamps of the frames from here on that can be decoded without damage."""
+    return (f.pts for f in _decoded(container, stream) if f.pts is not None and not f.is_corrupt)
+
+
+def _count(container, stream) -> int:
+    container.seek(0)
+    return sum(1 for _ in _decoded(container, stream))
+
+
+def _decoded(container, stream) -> Iterator:
+    """Frames in the order in which they are shown; damaged packets are passed over."""
+    error = av_module().error.FFmpegError
+    for packet in _demuxed(container, stream):
+        try:
+            yield from packet.decode()
+        except error:
+            continue
+    try:
+        yield from stream.decode(None)
+    except error:
+        return
+
+
+def pictures(path: Path) -> Iterator[tuple[int | None, np.ndarray]]:
+    """Stamp and picture (H, W, 3) uint8 RGB of every frame in order, upright as the file's rotation says."""
+    with _opened(path) as (container, stream):
+        for frame in _decoded(container, stream):
+            if not frame.is_corrupt:
+                picture = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90))
+                yield frame.pts, np.ascontiguousarray(picture)
