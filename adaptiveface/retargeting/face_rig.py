@@ -12,7 +12,7 @@ import numpy as np
 
 from .arkit import ARKIT_NAMES, canonical_name
 from .gltf_container import GltfContainer, extensions, extras
-from .shape_names import driven_shapes
+from .shape_names import arkit_row, driven_shapes
 from .vrm_presets import preset_name, preset_row
 
 MAX_TARGETS = 2000
@@ -38,11 +38,16 @@ class Expression:
 
 @dataclass
 class FaceRig:
-    """The expressions of a file; ``notes``: what is left at rest and why, one line each."""
+    """The expressions of a file.
+
+    counts: mesh -> number of its morph targets; notes: what is left at rest and why, one line each; empty: (mesh, morph
+    target) of those that move nothing.
+    """
 
     expressions: list[Expression]
     counts: dict[int, int]
     notes: list[str]
+    empty: set[tuple[int, int]]
 
     def activations(self, curves: np.ndarray) -> np.ndarray:
         """(F, E) weights of the expressions for ARKit curves (F, 52)."""
@@ -50,8 +55,8 @@ class FaceRig:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of expressions that nothing drives by themselves, and whose targets driven ones move."""
-        moved = {bind for e in self.expressions if e.driven for bind in e.binds}
+        """Names of expressions that nothing drives by themselves, and whose targets driven ones move, or move nothing."""
+        moved = {bind for e in self.expressions if e.driven for bind in e.binds} | self.empty
         return tuple(e.name for e in self.expressions if not e.driven and moved & e.binds.keys())
 
     def driven_targets(self, mesh: int) -> list[int]:
@@ -79,29 +84,54 @@ def face_rig(file: GltfContainer) -> FaceRig:
         raise file.error("no mesh has morph targets; export it with its shape keys (blend shapes)")
     expressions: dict[str, Expression] = {}
     notes: dict[str, None] = {}
+    empty = {(mesh, target) for mesh in counts for target in range(counts[mesh]) if _moves_nothing(file, mesh, target)}
     for mesh in counts:
-        chosen, said = driven_shapes(names[mesh])
+        live = [target for target in range(counts[mesh]) if (mesh, target) not in empty]
+        chosen, said = driven_shapes([names[mesh][target] for target in live])
+        rows = {live[number]: row for number, row in chosen.items()}
+        rows |= {target: arkit_row(names[mesh][target]) for m, target in empty if m == mesh}
         notes |= dict.fromkeys(said)
         for target, name in enumerate(names[mesh]):
-            row = chosen.get(target)
-            key = f"driven {row.nonzero()[0].tolist()}" if row is not None else name
-            row = np.zeros(len(ARKIT_NAMES)) if row is None else row
-            expression = expressions.setdefault(key, Expression(name, row))
-            expression.binds[mesh, target] = 1.0
-            if expression.name != name:  # halves, or another spelling in another mesh
-                expression.name = canonical_name(name) or name
-    _add_vrm(file, expressions, notes, counts)
+            _add(expressions, name, rows.get(target), (mesh, target))
+    hollow = [e.name for e in expressions.values() if e.driven and e.binds.keys() <= empty]
+    if hollow:
+        notes[f"move nothing in this file: {', '.join(hollow)}"] = None
+    _add_vrm(file, expressions, notes, counts, empty)
     if not any(expression.driven for expression in expressions.values()):
         some = ", ".join(list(dict.fromkeys(name for mesh in counts for name in names[mesh]))[:8])[:200]
         raise file.error("no morph target has an ARKit name such as jawOpen, and no VRM preset such as aa is there "
                          f"(targets: {some})")  # fmt: skip
-    return FaceRig(list(expressions.values()), counts, list(notes))
+    return FaceRig(list(expressions.values()), counts, list(notes), empty)
 
 
-def _add_vrm(file: GltfContainer, expressions: dict[str, Expression], notes: dict, counts: dict[int, int]) -> None:
+def _add(expressions: dict[str, Expression], name: str, row: np.ndarray | None, bind: tuple[int, int]) -> None:
+    """Add a morph target to the expression that moves with it: of the same row, or undriven and of the same name."""
+    key = f"driven {row.nonzero()[0].tolist()}" if row is not None else name
+    expression = expressions.setdefault(key, Expression(name, np.zeros(len(ARKIT_NAMES)) if row is None else row))
+    expression.binds[bind] = 1.0
+    if expression.name != name:  # halves, or another spelling in another mesh
+        expression.name = canonical_name(name) or name
+
+
+def _moves_nothing(file: GltfContainer, mesh: int, target: int) -> bool:
+    """Whether a morph target is a stub, as exporters write them for names that they do not fill."""
+    for primitive in file.items("meshes")[mesh]["primitives"]:
+        targets = primitive.get("targets") or []
+        if target < len(targets) and "POSITION" in targets[target]:
+            entry = file.item("accessors", targets[target]["POSITION"])
+            bounds = [*(entry.get("min") or [1]), *(entry.get("max") or [1])]
+            if ("bufferView" in entry or "sparse" in entry) and any(bounds):
+                return False
+    return True
+
+
+def _add_vrm(
+    file: GltfContainer, expressions: dict[str, Expression], notes: dict, counts: dict[int, int], empty: set
+) -> None:
     """VRM's expressions: perfect sync by name, then presets for what no ARKit shape shows."""
     found = vrm_expressions(file)
-    covered = sum((e.row for e in expressions.values()), np.zeros(len(ARKIT_NAMES)))
+    shown = (e.row for e in expressions.values() if not e.binds.keys() <= empty)
+    covered = sum(shown, np.zeros(len(ARKIT_NAMES)))
     sync = [(name, binds) for name, _, binds in found if canonical_name(name) and _valid(binds, counts)]
     chosen, _ = driven_shapes([name for name, _ in sync])
     before = covered.copy()
@@ -110,22 +140,20 @@ def _add_vrm(file: GltfContainer, expressions: dict[str, Expression], notes: dic
             name, binds = sync[number]
             expressions[f"expression {name}"] = Expression(name, row, _valid(binds, counts))
             covered += row
-    if not found and not covered.any():  # VRoid Studio's targets in a file without its VRM part
+    if not found:  # VRoid Studio's targets in a file without its VRM part
         found = [(e.name, preset_name(e.name), e.binds) for e in expressions.values() if e.name.startswith("Fcl_")]
     presets = {preset: (name, _valid(binds, counts)) for name, preset, binds in reversed(found) if preset}
-    presets = {preset: entry for preset, entry in presets.items() if entry[1]}
+    presets = {preset: entry for preset, entry in presets.items()
+               if entry[1] and not covered[preset_row(preset) > 0].any()}  # fmt: skip
     halves = {"blinkLeft", "blinkRight"} & presets.keys()
     if "blink" in presets and halves:
         left = ["blink"] if len(halves) == 2 else sorted(halves)
         notes[f"not driven, because the eyes would close twice: {', '.join(presets.pop(p)[0] for p in left)}"] = None
-    used = []
+    taken = {expression.name for expression in expressions.values()}
     for preset, (name, binds) in presets.items():
-        row = preset_row(preset)
-        if not covered[row > 0].any():
-            expressions[f"preset {preset}"] = Expression(name, row, binds)
-            used.append(name)
-    if used:
-        notes[f"driven as VRM presets: {', '.join(sorted(used))}"] = None
+        expressions[f"preset {preset}"] = Expression(preset if name in taken else name, preset_row(preset), binds)
+    if presets:
+        notes[f"driven as VRM presets: {', '.join(sorted(name for name, _ in presets.values()))}"] = None
 
 
 def _valid(binds: dict[tuple[int, int], float], counts: dict[int, int]) -> dict[tuple[int, int], float]:

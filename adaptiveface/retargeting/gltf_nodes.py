@@ -48,12 +48,12 @@ class Nodes:
 
     def _below(self, roots: list[int]) -> list[int]:
         """The nodes and all below them, parents first, each once."""
-        stack, out = list(roots), {}
+        stack, out = list(reversed(roots)), {}
         while stack:
             number = stack.pop()
             if number not in out:
                 out[number] = None
-                stack += self.children[number]
+                stack += reversed(self.children[number])
         return list(out)
 
     def below(self, number: int) -> list[int]:

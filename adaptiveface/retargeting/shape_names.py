@@ -16,31 +16,39 @@ from .arkit import ARKIT_NAMES, canonical_name
 _SIDES = ("left", "right", "l", "r")
 
 
+#: Ready Player Me's plain avatars have only these besides ``mouthSmile``.
+_OTHER_NAMES = {"mouthopen": {"jawOpen": 1.0}, "eyesclosed": {"eyeBlinkLeft": 0.5, "eyeBlinkRight": 0.5}}
+
+
 def arkit_row(name: str) -> np.ndarray | None:
     """(52,) weights of ARKit's shapes in a shape of that name, None for names that mean nothing to ARKit.
 
     A whole that ARKit splits (``eyeBlink``, ``mouthSmile``) is driven by the mean of its halves.
     """
-    row = np.zeros(len(ARKIT_NAMES))
     canonical = canonical_name(name)
-    if canonical is not None:
-        row[ARKIT_NAMES.index(canonical)] = 1.0
-        return row
+    mixture = {canonical: 1.0} if canonical else _OTHER_NAMES.get(_letters(name)) or _of_halves(name)
+    return np.array([mixture.get(arkit, 0.0) for arkit in ARKIT_NAMES]) if mixture else None
+
+
+def _of_halves(name: str) -> dict[str, float]:
     halves = [canonical_name(f"{name}{side}") for side in ("Left", "Right")]
     if None in halves or halves[0] == halves[1] or halves[0] in ("jawLeft", "mouthLeft"):  # directions, not halves
-        return None
-    for half in halves:
-        row[ARKIT_NAMES.index(half)] = 0.5
-    return row
+        return {}
+    return dict.fromkeys(halves, 0.5)
+
+
+def _letters(name: str) -> str:
+    return "".join(c for c in name.lower() if c.isalnum())
 
 
 def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str]]:
     """Number in ``names`` -> its row (52,) for the shapes of one mesh that are driven, and notes about the others."""
     rows = {number: arkit_row(name) for number, name in enumerate(names)}
+    direct = {number: canonical_name(name) for number, name in enumerate(names)}
     chosen: dict[int, np.ndarray] = {}
     notes = []
-    for column, arkit in enumerate(ARKIT_NAMES):
-        here = [n for n, row in rows.items() if row is not None and row[column] == 1.0]
+    for arkit in ARKIT_NAMES:
+        here = [n for n, name in direct.items() if name == arkit]
         wholes = [n for n in here if not _half(names[n], arkit)]
         kept = wholes[:1] or _one_of_each_side(here, names, arkit)
         chosen |= {n: rows[n] for n in kept}
@@ -51,10 +59,10 @@ def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str
             notes.append(f"{' + '.join(names[n] for n in kept)} make {arkit}")
     covered = sum(chosen.values(), np.zeros(len(ARKIT_NAMES)))
     for number, row in rows.items():
-        if row is None or row.max() == 1.0:
+        if row is None or direct[number]:
             continue
-        if covered[row > 0].any():  # a half is there, or the same whole in another spelling
-            notes.append(f"not driven, because its halves are: {names[number]}")
+        if covered[row > 0].any():  # a half is there, or the same in another spelling
+            notes.append(f"not driven, because others show the same: {names[number]}")
         else:
             chosen[number] = row
             covered = covered + row
@@ -63,7 +71,7 @@ def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str
 
 def _half(name: str, arkit: str) -> str:
     """Which side ("l", "r") of a shape that ARKit does not split the name stands for; "" where it is the whole."""
-    keys = ["".join(c for c in part.lower() if c.isalnum()) for part in (name, name.rsplit(".", 1)[-1])]
+    keys = [_letters(part) for part in (name, name.rsplit(".", 1)[-1])]
     return next((side[0] for side in _SIDES if arkit.lower() + side in keys), "")
 
 
