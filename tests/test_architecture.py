@@ -15,7 +15,7 @@ FLOORS = (
         *("errors", "files", "npz", "blas", "interrupt"),
         *("stages", "parameters"),
         "timing",
-        *("camera", "frame", "mesh", "rendering", "appearance"),
+        *("camera", "frame", "mesh", "rendering", "painting", "appearance"),
         *("lab", "livelink"),
     ),
     ("face_model", "actor", "blendshapes"),

@@ -22,7 +22,7 @@ from ..retargeting.character import Character, is_gltf, load_character
 from ..retargeting.correctives import carried_correctives
 from ..retargeting.retarget import Performance, coverage, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
-from ..timing import clean_times, frame_rate
+from ..timing import clean_times, increasing
 from .animation import AnimatedMesh, actor_animation, character_animation, size_text, with_correctives
 from .arguments import FORMATS
 
@@ -188,7 +188,7 @@ def write_performance_video(
     path: Path, result: Result, meshes: list[AnimatedMesh], source=None, turntable: bool = False, step: int = 1
 ) -> None:
     """Input (where there is a source), tracked mesh and animated characters side by side; every ``step``-th frame."""
-    from .video import character_panel, input_panel, side_by_side, tracked_panel, turntable_panel, write_video
+    from .video import character_panel, input_panel, tracked_panel, turntable_panel, write_film
 
     panels, labels = [tracked_panel(result)], ["tracked"]
     if source is not None:
@@ -196,8 +196,7 @@ def write_performance_video(
     for mesh in meshes:
         panels.append(turntable_panel(mesh) if turntable else character_panel(mesh))
         labels.append(mesh.name)
-    frames = range(0, len(result), step)
-    write_video(path, side_by_side(panels, labels, frames), frame_rate(result.timestamps) / step)
+    write_film(path, panels, labels, increasing(result.timestamps), step)
 
 
 def demo_character_files(character: Character) -> dict[str, str]:

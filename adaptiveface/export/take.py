@@ -98,7 +98,7 @@ def take_coverage(take: LiveLinkTake, character: Character) -> list[str]:
 
 def write_character_video(path: Path, mesh: AnimatedMesh, performance: Performance, turntable: bool = False) -> None:
     """The character alone, as ``.mp4`` or ``.gif``."""
-    from .video import character_panel, side_by_side, turntable_panel, write_video
+    from .video import character_panel, turntable_panel, write_film
 
     panel = turntable_panel(mesh) if turntable else character_panel(mesh)
-    write_video(path, side_by_side([panel], [mesh.name], range(len(mesh))), performance.fps)
+    write_film(path, [panel], [mesh.name], performance.timestamps)

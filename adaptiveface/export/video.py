@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import errno
 import itertools
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import cv2
 import numpy as np
+from tqdm import tqdm
 
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, FrameError
 from ..files import replacing
 from ..mesh import rotation_vector_matrix
-from ..rendering import picture
+from ..painting import lit, paint
 from ..result import Result
 from ..retargeting.character import Character
-from ..retargeting.portrait import portrait
+from ..retargeting.portrait import SKIN, painted_portrait
 from ..sensors.capture_device import quiet
+from ..timing import film_frames, gif_frames
 from .animation import CAMERA_TO_VIEW, AnimatedMesh
 from .encoder import encode_h264, ffmpeg_program
 
 PANEL = 480
+#: Frames that a panel is drawn ahead.
+AHEAD = 6
 #: Codecs of OpenCV's writer in the order of preference: VP9 plays in browsers, MPEG-4 everywhere else.
 _FOURCC = ("vp09", "mp4v")
 
@@ -32,55 +39,62 @@ Panel = Callable[[int], np.ndarray]
 
 def character_panel(mesh: AnimatedMesh) -> Panel:
     """The animated character with the head's rotation; it stays in the middle."""
-    character = Character(mesh.name, mesh.neutral, mesh.triangles, (), np.zeros((0, *mesh.neutral.shape)), mesh.colours)
-
-    def draw(frame: int) -> np.ndarray:
-        """The character as it is turned in this frame."""
-        rotation = CAMERA_TO_VIEW @ mesh.rigid[frame, :3, :3]
-        return portrait(character, mesh.shape(frame), PANEL, rotation, rays=1)
-
-    return draw
+    character = _still(mesh)
+    return lambda frame: painted_portrait(
+        character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ mesh.rigid[frame, :3, :3]
+    )
 
 
 def turntable_panel(mesh: AnimatedMesh, degrees_per_frame: float = 2.0) -> Panel:
     """The animated character seen from a camera that circles it."""
-    character = Character(mesh.name, mesh.neutral, mesh.triangles, (), np.zeros((0, *mesh.neutral.shape)), mesh.colours)
+    character = _still(mesh)
 
     def draw(frame: int) -> np.ndarray:
         """The character as the camera sees it from where it is in this frame."""
         turn = rotation_vector_matrix(np.array([0.0, np.radians(degrees_per_frame * frame), 0.0]))
-        return portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ turn, rays=1)
+        return painted_portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ turn)
 
     return draw
 
 
+def _still(mesh: AnimatedMesh) -> Character:
+    return Character(mesh.name, mesh.neutral, mesh.triangles, (), np.zeros((0, *mesh.neutral.shape)), mesh.colours)
+
+
 def tracked_panel(result: Result) -> Panel:
     """The tracked mesh v4, seen by a camera that frames the whole performance."""
-    middle = np.median(result.vertices[:, result.frontal].mean(axis=1), axis=0)
-    spread = float(np.abs(result.vertices[:, result.frontal] - middle).max())
+    middle, spread = _framing(result)
     focal = 0.46 * PANEL * middle[2] / max(spread, 1.0)
     centre = (PANEL - 1) / 2
     camera = Camera(PANEL, PANEL, focal, focal, centre, centre)
     shift = np.array([middle[0], middle[1], 0.0])
-    return lambda frame: picture(camera, result.vertices[frame] - shift, result.triangles)
+    triangles = np.ascontiguousarray(result.triangles, np.int64)
+
+    def draw(frame: int) -> np.ndarray:
+        """The mesh of this frame."""
+        points = result.vertices[frame] - shift
+        return paint(camera, points, triangles, lit(points, triangles, SKIN), cull=True)
+
+    return draw
 
 
 def input_panel(source, result: Result) -> Panel:
     """The colour picture of the source (its depth where there is no colour), cropped to the face."""
     camera = source.camera
-    middle = np.median(result.vertices[:, result.frontal].mean(axis=1), axis=0)
-    spread = float(np.abs(result.vertices[:, result.frontal] - middle).max())
+    middle, spread = _framing(result)
     u, v = camera.project(middle)
     half = 1.15 * camera.fx * spread / middle[2]
     matrix = PANEL / (2 * half) * np.array([[1.0, 0.0, half - u], [0.0, 1.0, half - v]])
+    read_colour = getattr(source, "read_colour", lambda frame: None)  # without the depth that nobody sees
 
     def draw(frame: int) -> np.ndarray:
         """The cropped picture; black where the source has none."""
         try:
-            shot = source.read(frame)
+            image = read_colour(frame)
+            shot = source.read(frame) if image is None else None
         except (FrameError, IndexError):
             return np.zeros((PANEL, PANEL, 3), np.uint8)
-        image = shot.colour
+        image = shot.colour if image is None else image
         if image is None:
             near = np.clip((middle[2] + spread - shot.depth) / (2 * spread), 0, 1) * (shot.depth > 0)
             image = np.repeat((255 * near)[:, :, None].astype(np.uint8), 3, axis=2)
@@ -89,21 +103,77 @@ def input_panel(source, result: Result) -> Panel:
     return draw
 
 
-def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Iterable[np.ndarray]:
-    """Frames (PANEL, n PANEL, 3) uint8 RGB with a label on every panel, for frame numbers."""
-    for frame in frames:
-        images = []
-        for panel, label in zip(panels, labels, strict=True):
-            image = np.ascontiguousarray(panel(frame))
-            for colour, width in (((255, 255, 255), 3), ((40, 40, 40), 1)):
-                cv2.putText(image, label, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA)
-            images.append(image)
-        yield np.hstack(images)
+def _framing(result: Result) -> tuple[np.ndarray, float]:
+    """Where the face is, (3,) mm in the camera frame, and how far it reaches from there at most, mm."""
+    frontal = np.flatnonzero(result.frontal)
+    some = result.vertices[:: max(1, len(result) // 300)][:, frontal]
+    middle = np.median(some.mean(axis=1), axis=0)
+    return middle, float(np.abs(some - middle).max())
 
 
-def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float) -> None:
+def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Iterator[np.ndarray]:
+    """Pictures (PANEL, n PANEL, 3) uint8 RGB with a label on every panel, for frame numbers.
+
+    Every panel is drawn by a thread of its own, in order and a few frames ahead. A number that follows itself is drawn once.
+    """
+    with ExitStack() as stack:
+        threads = [stack.enter_context(ThreadPoolExecutor(1, "panel")) for _ in panels]
+        waiting: deque[tuple[list, int]] = deque()
+        try:
+            for frame, group in itertools.groupby(frames):
+                drawn = [
+                    thread.submit(_labelled, panel, label, frame)
+                    for thread, panel, label in zip(threads, panels, labels, strict=True)
+                ]
+                waiting.append((drawn, sum(1 for _ in group)))
+                if len(waiting) > AHEAD:
+                    yield from _joined(*waiting.popleft())
+            while waiting:
+                yield from _joined(*waiting.popleft())
+        finally:
+            for thread in threads:
+                thread.shutdown(wait=False, cancel_futures=True)
+
+
+def _labelled(panel: Panel, label: str, frame: int) -> np.ndarray:
+    image = np.ascontiguousarray(panel(frame))
+    for colour, width in (((255, 255, 255), 3), ((40, 40, 40), 1)):
+        cv2.putText(image, label, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA)
+    return image
+
+
+def _joined(drawn: list, times: int) -> Iterator[np.ndarray]:
+    yield from itertools.repeat(np.hstack([panel.result() for panel in drawn]), times)
+
+
+def write_film(
+    path: str | Path, panels: Sequence[Panel], labels: Sequence[str], timestamps: np.ndarray, step: int = 1
+) -> None:
+    """The panels side by side over a take of increasing times (F,) s, as long as the take, every ``step``-th frame.
+
+    ``.mp4`` repeats frames where the take has gaps, ``.gif`` shows them longer. Raises as :func:`write_video`.
+    """
+    times = np.asarray(timestamps, float)[::step]
+    if Path(path).suffix.lower() == ".gif":
+        shown, delays = gif_frames(times)
+        rate = 1000.0 * len(shown) / delays.sum()
+    else:
+        (rate, shown), delays = film_frames(times), None
+    with tqdm(total=len(shown), desc=Path(path).name, unit="frame", disable=None) as bar:
+        write_video(path, _counted(side_by_side(panels, labels, step * shown), bar), rate, delays)
+
+
+def _counted(frames: Iterator[np.ndarray], bar: tqdm) -> Iterator[np.ndarray]:
+    with closing(frames):
+        for frame in frames:
+            bar.update()
+            yield frame
+
+
+def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, delays: Sequence[int] | None = None) -> None:
     """Write RGB frames of one even size as ``.mp4`` or ``.gif``, whole or not at all.
 
+    ``delays``: how long a ``.gif`` shows each frame, ms; without them it shows at most 15 of the ``fps`` frames a second.
     MP4 is H.264 where ``imageio-ffmpeg`` is installed (extra ``video``), else what OpenCV can write. Raises
     :class:`AdaptiveFaceError` when there is no frame or no encoder, when the encoder fails, or when the disk is full.
     """
@@ -112,18 +182,23 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float) -> N
     first = next(frames, None)
     if first is None:
         raise AdaptiveFaceError(f"{path}: no frames, no video")
-    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+    frames = itertools.chain([first], frames)
     with replacing(path) as temporary:
-        write(temporary, path, itertools.chain([first], frames), fps)
+        if path.suffix.lower() == ".gif":
+            _write_gif(temporary, frames, fps, delays)
+        else:
+            _write_mp4(temporary, path, frames, fps)
 
 
-def _write_gif(temporary: Path, path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+def _write_gif(temporary: Path, frames: Iterable[np.ndarray], fps: float, delays: Sequence[int] | None) -> None:
     from PIL import Image
 
-    step = max(1, round(fps / 15))  # GIF counts hundredths of a second; 15 frames a second keep it small
-    kept = itertools.islice(frames, 0, None, step)
-    images = [Image.fromarray(cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)) for f in kept]
-    images[0].save(temporary, save_all=True, append_images=images[1:], duration=round(1000 * step / fps), loop=0)
+    images = [Image.fromarray(cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)) for f in frames]
+    if delays is None:
+        shown, delays = gif_frames(np.arange(len(images)) / fps)
+        images = [images[k] for k in shown]
+    durations = [int(delay) for delay in delays]
+    images[0].save(temporary, save_all=True, append_images=images[1:], duration=durations, loop=0)
 
 
 def _write_mp4(temporary: Path, path: Path, frames: Iterator[np.ndarray], fps: float) -> None:

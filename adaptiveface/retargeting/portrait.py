@@ -6,6 +6,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..mesh import rotation_vector_matrix
+from ..painting import lit, paint
 from ..rendering import Light, picture
 from .character import Character
 
@@ -24,20 +25,36 @@ def portrait(
     ``rotation`` (3, 3) turns the head (head to camera, as in ``rigid``); None faces the camera; ``yaw`` degrees more;
     ``rays`` per pixel and axis: 2 for edges without steps, 1 for four times the speed.
     """
-    middle, extent = framing(character)
     turn = FACING if rotation is None else rotation
     turn = turn @ rotation_vector_matrix(np.array([0.0, np.radians(yaw), 0.0]))
-    distance = 4.0 * extent
-    fine = rays * size
-    focal = zoom * 0.92 * fine * distance / (1.12 * extent)
-    camera = Camera(fine, fine, focal, focal, (fine - 1) / 2, (fine - 1) / 2)
-    points = (vertices - middle) @ turn.T + [0.0, 0.0, distance]
-    colours = SKIN if character.colours is None else character.colours.astype(float)
-    image = picture(camera, points, character.triangles, colours, light=_LIGHT, background=background)
+    camera, points = _view(character, vertices, rays * size, turn, zoom)
+    image = picture(camera, points, character.triangles, _albedo(character), light=_LIGHT, background=background)
     if rays == 1:
         return image
     image = image.astype(np.uint32).reshape(size, rays, size, rays, 3)
     return (image.sum(axis=(1, 3)) // rays**2).astype(np.uint8)
+
+
+def painted_portrait(character: Character, vertices: np.ndarray, size: int, rotation: np.ndarray) -> np.ndarray:
+    """As :func:`portrait` with one ray per pixel on white, lit at the vertices: for films, in a fifth of the time."""
+    camera, points = _view(character, vertices, size, rotation)
+    colours = lit(points, character.triangles, _albedo(character), _LIGHT)
+    return paint(camera, points, np.ascontiguousarray(character.triangles, np.int64), colours, cull=True)
+
+
+def _albedo(character: Character) -> np.ndarray:
+    return np.array(SKIN, float) if character.colours is None else character.colours.astype(float)
+
+
+def _view(
+    character: Character, vertices: np.ndarray, size: int, turn: np.ndarray, zoom: float = 1.0
+) -> tuple[Camera, np.ndarray]:
+    """The camera that frames a character, ``size`` pixels square, and its vertices (V, 3) before it."""
+    middle, extent = framing(character)
+    distance = 4.0 * extent
+    focal = zoom * 0.92 * size * distance / (1.12 * extent)
+    camera = Camera(size, size, focal, focal, (size - 1) / 2, (size - 1) / 2)
+    return camera, (vertices - middle) @ turn.T + [0.0, 0.0, distance]
 
 
 def framing(character: Character) -> tuple[np.ndarray, float]:

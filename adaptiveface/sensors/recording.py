@@ -113,6 +113,12 @@ class Recording:
             except FrameError:
                 continue
 
+    def read_colour(self, index: int) -> np.ndarray | None:
+        """The colour (H, W, 3) uint8 RGB of frame ``index`` alone, None where there is none; raises as :meth:`read`."""
+        if not 0 <= index < self._length:
+            raise IndexError(f"frame {index} of a recording of {self._length}")
+        return self._read_colour(self._first + index)
+
     def _read_colour(self, number: int) -> np.ndarray | None:
         if not self._colour:
             return None
