@@ -13,6 +13,7 @@ from .errors import FileFormatError
 from .files import blocks
 from .npz import Field, check_indices, load_checked, write_npz
 from .parameters import Parameters
+from .result_access import ResultAccess
 from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows, row_type
 from .tracking.types import STAGE_NAMES, SampleState, TrackedFrame
 
@@ -57,8 +58,8 @@ _HEAD_FIELDS |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 COLOUR_ONLY = "colour only: no depth, degraded"
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(ResultAccess):
     """A tracked performance of F frames, N vertices, A expressions, S stages; one entry per frame of the source.
 
     vertices (F, N, 3) float32: final mesh v4 in the camera frame, mm; v1, v2, v3 likewise, or None; triangles (T, 3)

@@ -22,7 +22,7 @@ FLOORS = (
     ("synthetic", "sensors", "landmarks"),
     ("tracking",),
     ("neutral", "importers", "exercises"),
-    ("rows", "result"),
+    ("rows", "result_access", "result"),
     ("pipeline",),
     ("retargeting",),
     ("evaluation", "export", "live"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +13,16 @@ from ..errors import ParameterError
 from ..files import release
 from ..mesh import transform_points
 from ..result import Result
+from ..result_access import time_table
 from ..timing import frame_rate, increasing
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .character import Character
 from .resolve import SparseResolve, blendshape_parameters
 from .smoothing import Smoothing
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,10 @@ class Performance:
     def fps(self) -> float:
         """Frames per second of the recording, a standard rate where one is near."""
         return frame_rate(self.timestamps)
+
+    def table(self) -> DataFrame:
+        """The ARKit curves as a ``DataFrame``: a row per frame, the time as index (the extra ``pandas``)."""
+        return time_table(self.curves, self.timestamps, ARKIT_NAMES)
 
     def smoothed(self, smoothing: Smoothing | None) -> Performance:
         """The same performance with filtered curves; None leaves them as they are."""

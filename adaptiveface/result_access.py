@@ -1,0 +1,136 @@
+"""Looking into a result from Python: frame by frame, by name, and as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .errors import MissingExtraError
+from .mesh import transform_points
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, repr=False)
+class ResultFrame:
+    """One frame of a result, ``result[index]``.
+
+    index; timestamp s; tracked: the face was tracked in this frame; reason: why not, or "". rigid (4, 4) head to camera,
+    mm. camera_vertices (N, 3) mm: the final mesh v4 in the camera frame (x right, y down, z forward). coefficients (A,) by
+    ``expression_names``. Arrays of a frame that is not tracked are those of the last tracked one.
+    """
+
+    index: int
+    timestamp: float
+    tracked: bool
+    reason: str
+    rigid: np.ndarray
+    camera_vertices: np.ndarray
+    triangles: np.ndarray
+    coefficients: np.ndarray
+    expression_names: tuple[str, ...]
+
+    @property
+    def head_vertices(self) -> np.ndarray:
+        """(N, 3) float64 mm: v4 in the head frame (x to the subject's left, y up, z out of the face)."""
+        return to_head(self.rigid, self.camera_vertices)
+
+    @property
+    def curves(self) -> dict[str, float]:
+        """Name of each expression -> its re-solved coefficient, 0 to 1."""
+        return dict(zip(self.expression_names, self.coefficients.astype(float).tolist(), strict=True))
+
+    def __repr__(self) -> str:
+        state = "tracked" if self.tracked else f"not tracked: {self.reason}" if self.reason else "not tracked"
+        return f"ResultFrame({self.index}, {self.timestamp:.3f} s, {state})"
+
+
+def to_head(rigid: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """(N, 3) float64 mm in the head frame of vertices (N, 3) mm in the camera frame; rigid (4, 4): head to camera."""
+    return transform_points(np.linalg.inv(np.asarray(rigid, float)), np.asarray(vertices, float))
+
+
+class ResultAccess:
+    """What :class:`~adaptiveface.result.Result` offers besides its arrays."""
+
+    def __getitem__(self, key: int | slice) -> ResultFrame | ResultAccess:
+        """Frame ``key`` (negative: from the end), or the result of the frames of a slice. Raises :class:`IndexError`."""
+        if isinstance(key, slice):
+            rows = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name in _PER_FRAME}
+            return replace(self, **{name: value[key] for name, value in rows.items() if value is not None})
+        index = range(len(self))[key]
+        return ResultFrame(
+            index, float(self.timestamps[index]), bool(self.tracked[index]), self.reasons[index], self.rigid[index],
+            self.vertices[index], self.triangles, self.coefficients[index], self.expression_names,
+        )  # fmt: skip
+
+    def __iter__(self) -> Iterator[ResultFrame]:
+        """The frames, one after the other."""
+        return (self[index] for index in range(len(self)))
+
+    def __repr__(self) -> str:
+        seconds = float(self.timestamps[-1] - self.timestamps[0]) if len(self) else 0.0
+        return (
+            f"Result({len(self)} frames, {int(self.tracked.sum())} tracked, {seconds:.2f} s, "
+            f"{len(self.frontal)} vertices, {len(self.expression_names)} expressions)"
+        )
+
+    @property
+    def camera_vertices(self) -> np.ndarray:
+        """(F, N, 3) float32 mm: the final meshes v4 in the camera frame, the array ``vertices`` by its frame's name."""
+        return self.vertices
+
+    @property
+    def head_vertices(self) -> np.ndarray:
+        """(F, N, 3) float64 mm: the final meshes v4 in the head frame, where the head does not move.
+
+        All at once: of a long take ask frame by frame, ``result[i].head_vertices``.
+        """
+        return np.stack([to_head(m, v) for m, v in zip(self.rigid, self.vertices, strict=True)])
+
+    def curves(self, initial: bool = False, gaps: bool = False) -> DataFrame:
+        """The coefficients as a table: a row per frame, a column per expression, the time as index.
+
+        Parameters
+        ----------
+        initial : bool
+            Those of the first fit (section 4.2) instead of those re-solved from the final mesh (section 6).
+        gaps : bool
+            NaN where the face was not tracked, instead of the last values.
+
+        Returns
+        -------
+        pandas.DataFrame
+            (F, A) float64, 0 to 1. The index is a ``TimedeltaIndex`` named "time", from the source's timestamps.
+
+        Raises
+        ------
+        MissingExtraError
+            pandas is not installed (the extra ``pandas``).
+        """
+        values = self.coefficients_initial if initial else self.coefficients
+        table = time_table(values, self.timestamps, self.expression_names)
+        return table.where(np.broadcast_to(self.tracked[:, None], table.shape)) if gaps else table
+
+
+def time_table(values: np.ndarray, timestamps: np.ndarray, names: tuple[str, ...]) -> DataFrame:
+    """A ``DataFrame`` of values (F, A) with columns ``names`` and the times (F,) s as index.
+
+    Raises :class:`MissingExtraError` where pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise MissingExtraError("tables need pandas: python -m pip install 'adaptiveface[pandas]'") from None
+    index = pandas.to_timedelta(np.asarray(timestamps, float), unit="s").rename("time")
+    return pandas.DataFrame(np.asarray(values, float), index=index, columns=list(names))
+
+
+_PER_FRAME = frozenset((
+    "vertices", "v1", "v2", "v3", "tracked", "skipped", "timestamps", "rigid", "coefficients", "coefficients_initial",
+    "corrective_updates", "sample_state", "residual", "anchor_distance", "adaptive_distance", "reasons", "stage_ms",
+))  # fmt: skip
