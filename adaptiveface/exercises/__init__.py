@@ -1,32 +1,38 @@
-"""Exercises: write a core function of the tracker, have it graded in words, and watch the tracker run on it.
+"""Exercises: write a core function of the method, have it graded in words, and watch the tracker run on it.
 
     from adaptiveface import exercises
     exercises.POINT_TO_PLANE_STEP.check(my_function)
+    exercises.POINT_TO_PLANE_STEP.hint(1)
 
 Each exercise is an :class:`Exercise`: ``grade`` runs a function on random cases with fixed seeds, ``in_tracker`` is a
 context in which the tracker calls it, ``track`` compares the tracker with and without it, ``check`` does all of this.
 """
 
 from .bounded import BOUNDED_LEAST_SQUARES
+from .cotangent import COTANGENT_MATRIX
 from .em import EM_STEP
 from .grading import Exercise, Grade, Mistake, Report
+from .identity import IDENTITY_STEP
+from .kalman import KALMAN_STEP
 from .laplacian import RIGHT_HAND_SIDE, FeaturePull
+from .metric import ACTIVE_SHARE
 from .point_to_plane import POINT_TO_PLANE_STEP
+from .projection import PROJECT
+from .resolve import RESOLVE
+from .rigidity import RIGIDITY_ENERGY
+from .system import SOLVE_DEFORMATION
+from .transfer import DEFORMATION_GRADIENT
 from .trial import Trial
+from .tsdf import TSDF_INTEGRATION
 
 #: Every exercise, in the order of the notebooks.
-EXERCISES = (POINT_TO_PLANE_STEP, BOUNDED_LEAST_SQUARES, RIGHT_HAND_SIDE, EM_STEP)
+EXERCISES = (
+    TSDF_INTEGRATION, IDENTITY_STEP, RIGIDITY_ENERGY, DEFORMATION_GRADIENT, POINT_TO_PLANE_STEP, BOUNDED_LEAST_SQUARES,
+    KALMAN_STEP, COTANGENT_MATRIX, SOLVE_DEFORMATION, RIGHT_HAND_SIDE, PROJECT, EM_STEP, ACTIVE_SHARE, RESOLVE,
+)  # fmt: skip
 
 __all__ = [
-    "BOUNDED_LEAST_SQUARES",
-    "EM_STEP",
-    "EXERCISES",
-    "POINT_TO_PLANE_STEP",
-    "RIGHT_HAND_SIDE",
-    "Exercise",
-    "FeaturePull",
-    "Grade",
-    "Mistake",
-    "Report",
-    "Trial",
-]
+    "ACTIVE_SHARE", "BOUNDED_LEAST_SQUARES", "COTANGENT_MATRIX", "DEFORMATION_GRADIENT", "EM_STEP", "EXERCISES",
+    "Exercise", "FeaturePull", "Grade", "IDENTITY_STEP", "KALMAN_STEP", "Mistake", "POINT_TO_PLANE_STEP", "PROJECT",
+    "RESOLVE", "RIGHT_HAND_SIDE", "RIGIDITY_ENERGY", "Report", "SOLVE_DEFORMATION", "TSDF_INTEGRATION", "Trial",
+]  # fmt: skip

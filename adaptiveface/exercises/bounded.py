@@ -143,8 +143,19 @@ MISTAKES = (
         _never_released,
     ),
     Mistake("only the diagonal of h enters: the coefficients interact", _diagonal),
+    Mistake("the half is missing: the slope of x^T h x / 2 is h x, not 2 h x", lambda h, g, lower, upper: truth(
+        2 * h, g, lower, upper)),
+    Mistake("something was added to the diagonal of h: the ridge is in h already", lambda h, g, lower, upper: truth(
+        h + np.diag(np.diag(h)), g, lower, upper)),
+)
+HINTS = (
+    "Hold all coefficients but one. Where is the minimum over that one, and where is its best allowed value?",
+    "Go through the coefficients one by one, move each to the minimum over it alone and from there to the nearest bound. "
+    "Repeat until none moves any more.",
+    "x_i <- clip(x_i + (g_i - h_i . x) / h_ii, lower_i, upper_i), for all i, again and again.",
 )
 
 BOUNDED_LEAST_SQUARES = Exercise(
-    "bounded_least_squares", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES
-)
+    "bounded_least_squares", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES, hints=HINTS,
+    iterative=True, notebook="04_blendshape_fit",
+)  # fmt: skip

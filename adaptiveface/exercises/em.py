@@ -163,8 +163,19 @@ MISTAKES = (
         "two steps instead of one: the coefficients are those of the first, M has moved on",
         _with(m_step=lambda m, s, y: truth(truth(m, s)[1], s)[1]),
     ),
+    Mistake("Y is divided by the number of samples: a projection has no mean in it", _with(
+        e_step=lambda m, s: adaptive_pca.e_step(m, s) / s.shape[1])),
+)
+HINTS = (
+    "Two least-squares problems in turn: the best coefficients for the shapes, then the best shapes for the coefficients.",
+    "E-step: fit every sample by the columns of M, which need not be orthonormal. M-step: fit the samples by the coefficients. "
+    "Then make the columns orthonormal.",
+    "Y = (M^T M)^-1 M^T S, M <- S Y^T (Y Y^T)^-1, M <- Q of its QR factorisation.",
 )
 
 # Few shapes, so that the short performance has more samples than shapes: before that, EM only turns the basis.
 _FEW_SHAPES = Parameters().set(adaptive_pca__K=2)
-EM_STEP = Exercise("em_step", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES, _FEW_SHAPES)
+EM_STEP = Exercise(
+    "em_step", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES, _FEW_SHAPES, HINTS,
+    notebook="06_incremental_pca",
+)  # fmt: skip

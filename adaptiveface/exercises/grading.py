@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import ParameterError
 from ..parameters import Parameters
+from .calling import TIME_LIMIT, OutOfTime, call, where
 from .trial import Trial, run_trial
 
 #: Letters in a line of a message: JupyterLab breaks longer lines within words.
@@ -86,7 +88,9 @@ class Exercise:
     ``cases`` makes the random cases; ``truth(**case)`` the exact answer; ``parse(answer, case)`` brings an answer to a
     comparable form or raises :class:`Wrong`; ``faults(answer, case)`` names broken properties; ``near(a, b, case)``
     tells whether two parsed answers are the same; ``describe(answer, truth, case)`` says how far an unknown wrong one
-    is off; ``swap(function)`` is a context in which the tracker calls the function.
+    is off; ``swap(function)`` is a context in which the tracker calls the function, None where the tracker has no use
+    for it; ``hints``: three steps, of which only the last holds a formula; ``iterative``: people solve it by iterations,
+    which may diverge; ``notebook``: where it is asked; ``limit``: seconds that one call may take.
     """
 
     name: str
@@ -95,11 +99,21 @@ class Exercise:
     truth: Callable[..., Any]
     parse: Callable[[Any, Case], Any]
     near: Callable[[Any, Any, Case], bool]
-    faults: Callable[[Any, Case], list[str]]
-    describe: Callable[[Any, Any, Case], str]
-    swap: Callable[[Callable], AbstractContextManager]
+    faults: Callable[[Any, Case], list[str]] = lambda answer, case: []
+    describe: Callable[[Any, Any, Case], str] = lambda answer, truth, case: scale_hint(answer, truth)
+    swap: Callable[[Callable], AbstractContextManager] | None = None
     mistakes: tuple[Mistake, ...] = ()
     parameters: Parameters | None = None
+    hints: tuple[str, str, str] = ("", "", "")
+    iterative: bool = False
+    notebook: str = ""
+    limit: float = TIME_LIMIT
+
+    def hint(self, step: int = 1) -> str:
+        """A hint, ``step`` 1, 2 or 3: where to look, what to do, and the formula."""
+        if step not in (1, 2, 3):
+            raise ParameterError(f"hint({step!r}): the hints of {self.name} are numbered 1, 2 and 3")
+        return _Words(textwrap.fill(f"Hint {step} of 3: {self.hints[step - 1]}", LINE, break_long_words=False))
 
     def grade(self, function: Callable) -> Grade:
         """Run ``function`` on the random cases and say what is wrong; never raises for what the function does."""
@@ -113,13 +127,22 @@ class Exercise:
                     self.name, (f"nothing was returned: write the function's body. {self.task}",), len(cases), False
                 )
             except Wrong as wrong:
-                return Grade(self.name, (f"{wrong} (case {number + 1} of {len(cases)})",), len(cases))
+                text = str(wrong)
+                if self.iterative and "NaN or infinite" in text:
+                    text += ": the iteration diverges, its values grow until they are no numbers any more"
+                return Grade(self.name, (f"{text} (case {number + 1} of {len(cases)})",), len(cases))
+            except OutOfTime as slow:
+                text = f"{slow} (case {number + 1} of {len(cases)}): does its loop end? {_SLOW}"
+                return Grade(self.name, (text,), len(cases))
             except Exception as error:  # noqa: BLE001 - whatever the learner's code raises is a finding
-                text = f"it raised {type(error).__name__}: {error} (case {number + 1} of {len(cases)})"
+                place = where(error, function)
+                text = f"it raised {type(error).__name__}: {error}{place} (case {number + 1} of {len(cases)})"
                 return Grade(self.name, (text,), len(cases))
         truths = [self.parse(self.truth(**case), case) for case in cases]
+        if self.iterative and any(map(_far_too_large, answers, truths)):
+            findings.append("the iteration diverges: its values are thousands of times too large; is the step too long?")
         for answer, case in zip(answers, cases, strict=True):
-            findings += [fault for fault in self.faults(answer, case) if fault not in findings]
+            findings += [] if findings else self.faults(answer, case)
             if findings:
                 break
         right = [self.near(a, t, c) for a, t, c in zip(answers, truths, cases, strict=True)]
@@ -130,8 +153,7 @@ class Exercise:
     def _answer(self, function: Callable, case: Case) -> Any:
         """The parsed answer; a copy of the case goes in, so that a function that changes its inputs is found out."""
         given = copy.deepcopy(case)
-        with np.errstate(all="ignore"):
-            answer = function(**given)
+        answer = call(function, given, self.limit)
         if answer is None:
             raise _NotStarted
         if not _same(given, case):
@@ -141,7 +163,11 @@ class Exercise:
     def _recognised(self, answers, truths, cases) -> str | None:
         """The words of the first known mistake that gives these answers in every case."""
         for mistake in self.mistakes:
-            made = [self.parse(mistake.answer(**case), case) for case in cases]
+            try:
+                with np.errstate(all="ignore"):
+                    made = [self.parse(mistake.answer(**case), case) for case in cases]
+            except Wrong:  # this mistake gives no numbers here
+                continue
             if all(self.near(m, t, c) for m, t, c in zip(made, truths, cases, strict=True)):
                 continue
             if all(self.near(a, m, c) for a, m, c in zip(answers, made, cases, strict=True)):
@@ -156,6 +182,8 @@ class Exercise:
     @contextmanager
     def in_tracker(self, function: Callable) -> Iterator[None]:
         """Context in which every tracker calls ``function``; the package's own is back on exit, also after errors."""
+        if self.swap is None:
+            raise ParameterError(f"{self.name}: the tracker calls no such function")
         with self.swap(function):
             yield
 
@@ -170,7 +198,23 @@ class Exercise:
     def check(self, function: Callable, **options) -> Report:
         """Grade ``function`` and, if it is right, track with it (``options`` as in :meth:`track`)."""
         grade = self.grade(function)
-        return Report(grade, self.track(function, **options) if grade.passed else None)
+        return Report(grade, self.track(function, **options) if grade.passed and self.swap else None)
+
+
+#: Said of a function that takes too long.
+_SLOW = "A correct answer takes milliseconds; whole arrays at once are faster than loops over their entries."
+
+
+class _Words(str):
+    """A text that a notebook shows without quotes."""
+
+    __repr__ = str.__str__
+
+
+def _far_too_large(answer: Any, truth: Any) -> bool:
+    if not (isinstance(answer, np.ndarray) and isinstance(truth, np.ndarray)):
+        return False
+    return bool(np.abs(answer).max(initial=0.0) > 1e3 * max(np.abs(truth).max(initial=0.0), 1e-3))
 
 
 class _NotStarted(Exception):

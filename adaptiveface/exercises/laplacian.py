@@ -228,6 +228,14 @@ MISTAKES = (
     ),
 )
 
-RIGHT_HAND_SIDE = Exercise(
-    "right_hand_side", TASK, random_cases, truth, parse, near, lambda answer, case: [], describe, swap, MISTAKES
+HINTS = (
+    "Half the derivative of each square is its row times its value. Which of them still hold no d?",
+    "Depth: each vertex is pulled along its normal. Features: each row pulls the feature's point, and its three corners share "
+    "the pull by their barycentric weights. Corners may be shared: add, do not assign.",
+    "b_i = -w1 weights_i distances_i normals_i, and b[corner_fk] += shares_fk sum_r weights_fr targets_fr rows_fr.",
 )
+
+RIGHT_HAND_SIDE = Exercise(
+    "right_hand_side", TASK, random_cases, truth, parse, near, lambda answer, case: [], describe, swap, MISTAKES,
+    hints=HINTS, notebook="05_laplacian_deformation",
+)  # fmt: skip

@@ -205,8 +205,18 @@ MISTAKES = (
     Mistake("the rotation is missing: only a translation was solved", _translation_only),
     Mistake(_POINT_TO_POINT, _point_to_point(True)),
     Mistake(_POINT_TO_POINT + "; and the weights are missing", _point_to_point(False)),
+    Mistake("the translation is missing: only a rotation came back", lambda **case: about(
+        case["points"].mean(axis=0), truth(**case)[0], np.zeros(3))),
+)
+HINTS = (
+    "A small rotation moves a point p by r x p, which is linear in r. Which six numbers are unknown?",
+    "Write the signed distance after the step as distance + row . (r, t), one row per correspondence, and solve the weighted "
+    "least squares. Turn about the points' centre, so that rotation and translation do not mix.",
+    "row_i = [(v_i - c) x n_i, n_i], J^T W J step = -J^T W d with d_i = n_i . (v_i - p_i); R = exp([r]x), translation = c + t "
+    "- R c.",
 )
 
 POINT_TO_PLANE_STEP = Exercise(
-    "point_to_plane_step", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES
-)
+    "point_to_plane_step", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES, hints=HINTS,
+    notebook="03_rigid_tracking",
+)  # fmt: skip
