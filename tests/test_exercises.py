@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import csv
+import dataclasses
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +15,17 @@ from scipy.linalg import cho_factor, cho_solve, expm, polar
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
-from adaptiveface import exercises
-from adaptiveface.exercises import BOUNDED_LEAST_SQUARES, EM_STEP, POINT_TO_PLANE_STEP, RIGHT_HAND_SIDE
+from adaptiveface import cli, exercises
+from adaptiveface.errors import ParameterError
+from adaptiveface.exercises import (
+    BOUNDED_LEAST_SQUARES,
+    EM_STEP,
+    KALMAN_STEP,
+    POINT_TO_PLANE_STEP,
+    RIGHT_HAND_SIDE,
+)
 from adaptiveface.tracking import adaptive_pca, expression, rigid
+from adaptiveface.tracking.kalman import CoefficientFilter
 from adaptiveface.tracking.laplacian import LaplacianDeformation
 
 SOLUTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "solutions"
@@ -293,13 +305,15 @@ def test_right_answers_of_every_kind_pass(exercise, function):
 
 
 def attributes():
-    """What the tracker calls in the four places."""
+    """What the tracker calls in the places that exercises take."""
     return (rigid.point_to_plane_step, expression.bounded_least_squares, LaplacianDeformation.right_hand_side,
-            adaptive_pca.em_in_sample_space)  # fmt: skip
+            adaptive_pca.em_in_sample_space, CoefficientFilter.update)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    "exercise, function", [RIGHT[1], RIGHT[7], RIGHT[10], RIGHT[13]], ids=lambda value: getattr(value, "name", "")
+    "exercise, function",
+    [RIGHT[1], RIGHT[7], RIGHT[10], RIGHT[13], (KALMAN_STEP, KALMAN_STEP.truth)],
+    ids=lambda value: getattr(value, "name", "")
 )
 def test_the_tracker_runs_with_a_right_function_and_gets_its_own_back(exercise, function):
     before, calls = attributes(), []
@@ -354,32 +368,170 @@ def test_an_empty_stub_is_answered_kindly(exercise):
 
 @pytest.mark.parametrize("exercise", exercises.EXERCISES, ids=lambda e: e.name)
 def test_every_listed_mistake_is_told_apart(exercise):
-    assert len(exercise.mistakes) >= 5
+    assert len(exercise.mistakes) >= 10
     for mistake in exercise.mistakes:
         assert mistake.words in exercise.grade(mistake.answer).findings
 
 
-def test_solutions_pass():
-    notebooks = sorted(SOLUTIONS.glob("*.ipynb"))
-    assert [path.name[:2] for path in notebooks] == ["03", "04", "05", "06"]
-    for path, exercise in zip(notebooks, exercises.EXERCISES, strict=True):
-        space: dict = {}
-        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
-            assert not cell.get("outputs")
-            source = "".join(cell["source"])
-            if cell["cell_type"] == "code":
-                exec(source.replace(f"exercises.{exercise.name.upper()}.check({exercise.name})", ""), space)  # noqa: S102
-        grade = exercise.grade(space[exercise.name])
-        assert grade.passed, f"{path.name}: {grade}"
+def solution_of(exercise) -> Path:
+    (path,) = SOLUTIONS.glob(f"{exercise.notebook[:2]}_{exercise.name}.ipynb")
+    return path
 
 
-@pytest.mark.parametrize("number, exercise", [*enumerate(exercises.EXERCISES, 3)], ids=lambda v: getattr(v, "name", v))
-def test_notebooks_end_with_the_exercise_and_an_empty_stub(number, exercise):
-    (path,) = SOLUTIONS.parent.glob(f"{number:02d}_*.ipynb")
-    text, stub, check = json.loads(path.read_text(encoding="utf-8"))["cells"][-3:]
-    linked = "".join(text["source"]).split("(solutions/")[1].split(")")[0]
-    assert (SOLUTIONS / linked).is_file()
-    assert "".join(check["source"]) == f"exercises.{exercise.name.upper()}.check({exercise.name})"
+def cells_of(path: Path) -> list[dict]:
+    return json.loads(path.read_text(encoding="utf-8"))["cells"]
+
+
+@pytest.mark.parametrize("exercise", exercises.EXERCISES, ids=lambda e: e.name)
+def test_solutions_pass(exercise):
     space: dict = {}
-    exec("".join(stub["source"]), space)  # noqa: S102
-    assert not exercise.check(space[exercise.name]).grade.started
+    for cell in cells_of(solution_of(exercise)):
+        assert not cell.get("outputs")
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "code":
+            exec(source.replace(f"exercises.{exercise.name.upper()}.check({exercise.name})", ""), space)  # noqa: S102
+    grade = exercise.grade(space[exercise.name])
+    assert grade.passed, str(grade)
+
+
+def test_there_is_a_solution_for_each_exercise_and_no_other():
+    assert {solution_of(exercise).name for exercise in exercises.EXERCISES} == {p.name for p in SOLUTIONS.glob("*.ipynb")}
+
+
+def variable_of(exercise) -> str:
+    return next(name for name in exercises.__all__ if getattr(exercises, name) is exercise)
+
+
+@pytest.mark.parametrize("notebook", sorted({e.notebook for e in exercises.EXERCISES}))
+def test_notebooks_end_with_their_exercises_and_empty_stubs(notebook):
+    asked = [exercise for exercise in exercises.EXERCISES if exercise.notebook == notebook]
+    cells = cells_of(SOLUTIONS.parent / f"{notebook}.ipynb")[-3 * len(asked) :]
+    for k, exercise in enumerate(asked):
+        text, stub, check = cells[3 * k : 3 * k + 3]
+        linked = "".join(text["source"]).replace("\n", " ").split("(solutions/")[1].split(")")[0]
+        assert SOLUTIONS / linked == solution_of(exercise)
+        assert "".join(check["source"]) == f"exercises.{variable_of(exercise)}.check({exercise.name})"
+        space: dict = {}
+        exec("".join(stub["source"]), space)  # noqa: S102
+        assert not exercise.check(space[exercise.name]).grade.started
+
+
+# ---- what every grader does ----
+
+
+@pytest.mark.parametrize("exercise", exercises.EXERCISES, ids=lambda e: e.name)
+def test_a_right_function_may_be_called_by_position(exercise):
+    def by_other_names(*values):
+        return exercise.truth(**dict(zip(exercise.cases()[0], values, strict=True)))
+
+    assert exercise.grade(by_other_names).passed
+
+
+def test_a_wrong_number_of_parameters_is_told():
+    grade = BOUNDED_LEAST_SQUARES.grade(lambda h, g: g)
+    assert "must take the 4 arguments (h, g, lower, upper)" in str(grade)
+
+
+@pytest.mark.parametrize("exercise", exercises.EXERCISES, ids=lambda e: e.name)
+def test_hints_come_in_three_steps_and_only_the_last_has_the_formula(exercise):
+    assert all(exercise.hint(step).startswith(f"Hint {step} of 3") for step in (1, 2, 3))
+    assert len({*exercise.hints}) == 3
+    formula = ("=", "<-")
+    assert any(mark in exercise.hints[2] for mark in formula) or "sum" in exercise.hints[2]
+    assert not any(mark in exercise.hints[0] for mark in formula)
+    with pytest.raises(ParameterError, match="1, 2 and 3"):
+        exercise.hint(4)
+
+
+def test_an_endless_loop_is_stopped_and_named():
+    exercise = dataclasses.replace(BOUNDED_LEAST_SQUARES, limit=0.3)
+    running = []
+
+    def endless(h, g, lower, upper):
+        while True:
+            running.append(time.perf_counter())
+
+    grade = exercise.grade(endless)
+    assert not grade.passed and "did not end within 0.3 seconds" in str(grade)
+    time.sleep(0.2)
+    count = len(running)
+    time.sleep(0.2)
+    assert len(running) == count  # nothing goes on in the background
+
+
+def fails_in_its_third_line(h, g, lower, upper):
+    x = np.zeros(len(g))
+    return np.linalg.solve(h, np.ones(3 + len(x)))
+
+
+def test_the_failing_line_of_the_learners_own_code_is_shown():
+    text = " ".join(str(BOUNDED_LEAST_SQUARES.grade(fails_in_its_third_line)).split())
+    assert "LinAlgError" in text or "ValueError" in text
+    assert "in line 3 of your function: return np.linalg.solve(h, np.ones(3 + len(x)))" in text
+
+
+@pytest.mark.parametrize("steps, words", [(30, "diverges"), (5000, "diverges")])
+def test_an_iteration_that_diverges_is_named_so(steps, words):
+    def too_long_a_step(h, g, lower, upper):
+        x = np.zeros(len(g))
+        for _ in range(steps):
+            x = x - 3.0 / np.linalg.norm(h, 2) * (h @ x - g)
+        return x
+
+    assert words in str(BOUNDED_LEAST_SQUARES.grade(too_long_a_step))
+
+
+# ---- for the teacher ----
+
+
+def test_the_student_copy_holds_no_solution(tmp_path, capsys):
+    target = tmp_path / "students"
+    assert cli.main(["exercises", "--student", str(target)]) == 0
+    names = {path.name for path in target.rglob("*")}
+    assert names == {path.name for path in SOLUTIONS.parent.glob("*.ipynb")}
+    text = "\n".join(path.read_text(encoding="utf-8") for path in target.glob("*.ipynb"))
+    assert "solutions/" not in text and "olution is in" not in text
+    for exercise in exercises.EXERCISES:
+        assert f"def {exercise.name}(" in text
+        for cell in cells_of(solution_of(exercise)):
+            if cell["cell_type"] == "code" and "check(" not in "".join(cell["source"]):
+                body = [line.strip() for line in cell["source"] if line.startswith("    ") and len(line) > 30]
+                assert not [line for line in body if json.dumps(line)[1:-1] in text]
+    assert cli.main(["exercises", "--student", str(target)]) == 2
+    assert "name a new folder" in capsys.readouterr().err
+
+
+def test_a_class_is_graded_with_points_and_remarks(tmp_path, capsys):
+    folder = tmp_path / "class"
+    (folder / "anna").mkdir(parents=True)
+    for exercise in exercises.EXERCISES:
+        (folder / "anna" / solution_of(exercise).name).write_bytes(solution_of(exercise).read_bytes())
+    (folder / "ben.py").write_text(
+        "import numpy as np\nfrom no_such_package import thing\nprint('hello')\nHALF = 0.5\n"
+        "def rigidity(maps):\n    return HALF * np.ones(len(maps))\n"
+        "def solve_deformation(laplacian, w1, w2, targets):\n    return targets\n"
+    )
+    (folder / "cem.ipynb").write_text("{")
+    (folder / "dora.py").write_text("import os\ndef rigidity(maps):\n    os._exit(3)\n")
+    assert cli.main(["exercises", "--grade", str(folder)]) == 0
+    text = capsys.readouterr().out
+    count = len(exercises.EXERCISES)
+    assert f"anna: {count} of {count}" in text and "ben: 0 of" in text
+    rows = json.loads((tmp_path / "class-grades" / "grades.json").read_text(encoding="utf-8"))
+    remarks = {(row["student"], row["exercise"]): row["remark"] for row in rows}
+    assert len(rows) == 4 * count
+    assert "targets themselves came back" in " ".join(remarks["ben", "solve_deformation"].split())
+    assert remarks["ben", "em_step"] == "not handed in" and "not a notebook" in remarks["cem", "em_step"]
+    assert "status 3" in remarks["dora", "rigidity"]
+    scope = json.loads((tmp_path / "class-grades" / "gradescope" / "anna.json").read_text(encoding="utf-8"))
+    assert scope["score"] == count and {test["max_score"] for test in scope["tests"]} == {1}
+    with open(tmp_path / "class-grades" / "grades.csv", newline="", encoding="utf-8") as stream:
+        assert len([*csv.DictReader(stream)]) == 4 * count
+
+
+def test_otter_test_files_call_the_graders(tmp_path):
+    written = exercises.classroom.write_otter_tests(tmp_path / "tests", exercises.EXERCISES)
+    assert [path.stem for path in written] == [exercise.name for exercise in exercises.EXERCISES]
+    for path in written:
+        space = ast.parse(path.read_text(encoding="utf-8"))
+        assert any(isinstance(node, ast.FunctionDef) and node.name == f"test_{path.stem}" for node in space.body)

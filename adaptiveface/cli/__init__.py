@@ -20,7 +20,7 @@ EXIT_ERROR, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 130, 143
 COMMANDS = (
     offline.add_demo, offline.add_capture, offline.add_track, sensors.add_record, sensors.add_convert,
     offline.add_export, sensors.add_stream, sensors.add_live, studies.add_batch, studies.add_evaluate, tools.add_bench,
-    tools.add_lab,
+    tools.add_lab, tools.add_exercises,
 )  # fmt: skip
 
 

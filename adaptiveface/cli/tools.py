@@ -1,4 +1,4 @@
-"""Commands around the method: ``bench`` and ``lab``."""
+"""Commands around the method: ``bench``, ``lab`` and ``exercises``."""
 
 from __future__ import annotations
 
@@ -40,3 +40,42 @@ def run_lab(args: argparse.Namespace) -> int:
     from ..lab import open_lab
 
     return open_lab(args.dir, args.port, not args.no_browser)
+
+
+def add_exercises(commands) -> None:
+    """``exercises``."""
+    exercises = commands.add_parser("exercises", help="list the exercises; for teachers: student copy, grades of a class")
+    todo = exercises.add_mutually_exclusive_group()
+    todo.add_argument("--student", type=Path, metavar="DIR", help="write the notebooks without solutions to a new folder")
+    todo.add_argument("--grade", type=Path, metavar="FOLDER", help="grade submissions, one folder or file per student")
+    todo.add_argument("--otter", type=Path, metavar="DIR", help="write test files for otter-grader")
+    todo.add_argument("--mistakes", action="store_true", help="print every planted mistake and what the grader says of it")
+    exercises.add_argument("--out", type=Path, metavar="DIR", help="of --grade: grades.csv, grades.json, gradescope/ "
+                           "(default: grades beside FOLDER)")  # fmt: skip
+    exercises.set_defaults(run=run_exercises)
+
+
+def run_exercises(args: argparse.Namespace) -> int:
+    """``exercises``."""
+    from ..exercises import EXERCISES, classroom
+
+    if args.student:
+        from ..lab import packaged_notebooks
+
+        print(f"{args.student}: {len(classroom.student_copy(packaged_notebooks(), args.student))} notebooks")
+    elif args.grade:
+        marks = classroom.grade_folder(args.grade, EXERCISES, progress=True)
+        out = args.out or args.grade.resolve().with_name(f"{args.grade.resolve().name}-grades")
+        classroom.write_marks(out, marks)
+        for student in dict.fromkeys(mark.student for mark in marks):
+            own = [mark for mark in marks if mark.student == student]
+            print(f"{student}: {sum(mark.points for mark in own)} of {len(own)}")
+        print(f"{out / 'grades.csv'}: {len(marks)} rows")
+    elif args.otter:
+        print(f"{args.otter}: {len(classroom.write_otter_tests(args.otter, EXERCISES))} test files")
+    else:
+        for exercise in EXERCISES:
+            print(f"{exercise.notebook:<26} {exercise.name:<22} {len(exercise.mistakes)} mistakes known")
+            for mistake in exercise.mistakes if args.mistakes else ():
+                print(f"  planted: {mistake.words}\n  said:    {'; '.join(exercise.grade(mistake.answer).findings)}")
+    return 0

@@ -6,10 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..mesh import cotangent_laplacian, vertex_areas
-from ..tracking import laplacian
 from .grading import Case, Exercise, Mistake, as_array
 from .pairs import close
-from .swap import replaced
 
 TASK = (
     "cotangent_matrix(vertices, triangles): vertices (N, 3), triangles (T, 3) -> L (N, N), dense or sparse, with (L f)_i = "
@@ -124,12 +122,6 @@ def _clipped_first(vertices, triangles):
     return _matrix(vertices, triangles, lambda u, v, edge: np.maximum(_cotangent(u, v, edge), 0.0))
 
 
-def swap(function):
-    """The learner's matrix in the Laplacian deformations; they are built when the tracker is made."""
-    return replaced(laplacian, "cotangent_laplacian", lambda vertices, triangles: sp.csr_matrix(function(
-        vertices=vertices, triangles=triangles)))  # fmt: skip
-
-
 MISTAKES = (
     Mistake("the sign is wrong: the diagonal is positive, so that f^T L f is an energy", lambda **c: -truth(**c)),
     Mistake("the half is missing: w_ij is half the sum of the two cotangents", _by(half=1.0)),
@@ -157,6 +149,6 @@ HINTS = (
 )
 
 COTANGENT_MATRIX = Exercise(
-    "cotangent_matrix", TASK, random_cases, truth, parse, close, faults, swap=swap, mistakes=MISTAKES, hints=HINTS,
+    "cotangent_matrix", TASK, random_cases, truth, parse, close, faults, mistakes=MISTAKES, hints=HINTS,
     notebook="05_laplacian_deformation",
 )  # fmt: skip
