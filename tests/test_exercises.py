@@ -17,7 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from adaptiveface import cli, exercises
 from adaptiveface.errors import ParameterError
+from adaptiveface.evaluation import active_share
 from adaptiveface.exercises import (
+    ACTIVE_SHARE,
     BOUNDED_LEAST_SQUARES,
     EM_STEP,
     KALMAN_STEP,
@@ -479,6 +481,13 @@ def test_an_iteration_that_diverges_is_named_so(steps, words):
         return x
 
     assert words in str(BOUNDED_LEAST_SQUARES.grade(too_long_a_step))
+
+
+def test_the_share_of_the_exercise_is_that_of_the_evaluation():
+    for case in ACTIVE_SHARE.cases():
+        error = np.linalg.norm(case["tracked"] - case["true"], axis=2)
+        motion = np.linalg.norm(case["true"], axis=2)
+        assert ACTIVE_SHARE.truth(**case) == pytest.approx(active_share(error, motion, case["threshold"]), rel=1e-12)
 
 
 # ---- for the teacher ----

@@ -12,7 +12,7 @@ and, or instead,
     landmark_ids  (L,)       their iBUG-68 numbers
 
 Its mesh may have any topology. So the true surface is asked how far the other tracker's surface lies from it, at the
-true vertices that :mod:`.run` scores too. Landmarks are compared with the true points of the same number.
+true vertices that :class:`ErrorCollector` scores too. Landmarks are compared with the true points of the same number.
 """
 
 from __future__ import annotations
