@@ -80,7 +80,7 @@ def correctives(actor, model, count: int = 5) -> None:
 
 
 def learning(results) -> None:
-    """Figure 11: distance of the final mesh from both spaces, frame by frame."""
+    """Figure 11: distance of the deformed mesh v2 from both spaces, frame by frame, before it is learned from."""
     figure, axis = plt.subplots(figsize=(8, 3), layout="constrained")
     for name, style in (("anchor_distance", "--"), ("adaptive_distance", "-")):
         axis.plot([getattr(r, name) for r in results], style, label=name.replace("_distance", " space"))

@@ -1,5 +1,7 @@
 """The whole tracker on rendered performances with known truth, and on rubbish."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
@@ -63,6 +65,59 @@ def test_learning_off_keeps_the_adaptive_space_empty(scene):
     results = [tracker.track(f) for f in frames[:20]]
     assert tracker.model.correctives.shape[1] == 0 and results[-1].corrective_updates == 0
     np.testing.assert_allclose(results[15].adaptive_distance, results[15].anchor_distance)
+
+
+def test_figure_11_measures_a_frame_before_it_is_learned_from():
+    """A new expression is as far from the adaptive space as from the anchors, and the distance drops within frames."""
+    actor = exact_actor()
+    tracker = FaceTracker(actor)
+    bulge = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    results = []
+    for index, size in enumerate(bulge):
+        shape = actor.neutral + lump(actor, 5.0 * size)
+        frame = render_frame(actor, shape, head_pose(), index, noise=0.3, pixel_noise=0.2)
+        known = tracker.model.correctives.copy()
+        results.append(result := tracker.track(frame))
+        moved = (result.v2 - actor.neutral)[actor.frontal].ravel()
+        for basis in (tracker.model.anchors, known):
+            moved = moved - basis @ (basis.T @ moved)
+        assert result.adaptive_distance == pytest.approx(np.linalg.norm(moved.reshape(-1, 3), axis=1).mean(), rel=1e-4)
+    first = next(k for k, result in enumerate(results) if result.sample_state is SampleState.LEARNED)
+    assert first == bulge.index(1.0)
+    assert results[first].adaptive_distance == pytest.approx(results[first].anchor_distance)
+    assert max(r.adaptive_distance for r in results[first + 1 :]) < 0.5 * results[first].adaptive_distance
+    assert min(r.anchor_distance for r in results[first + 1 :]) > 0.9 * results[first].anchor_distance
+    assert results[first].corrective_updates == results[first - 1].corrective_updates + 1, "it was learned all the same"
+
+
+def hidden(frame, actor, what: str):
+    """The frame with less to see: depth missing on half of the face, or a board in front of the mouth."""
+    depth = frame.depth.copy()
+    if what == "missing":
+        depth[:, : int(np.median(np.nonzero(depth)[1])) + 15] = 0
+    else:
+        (left, top), (right, bottom) = (frame.features.pixels[20:].min(axis=0).astype(int) - 4,
+                                        frame.features.pixels[20:].max(axis=0).astype(int) + 4)  # fmt: skip
+        depth[top:bottom, left:right] -= 40.0 * (depth[top:bottom, left:right] > 0)
+    return replace(frame, depth=depth)
+
+
+@pytest.mark.parametrize("what", ["missing", "behind a board"])
+def test_a_hidden_face_has_a_state_of_its_own(scene, what):
+    actor, frames, *_ = scene
+    tracker = FaceTracker(actor)
+    for frame in frames[:10]:
+        seen = tracker.track(frame)
+    updates = seen.corrective_updates
+    result = tracker.track(hidden(frames[10], actor, what))
+    assert result.tracked and result.sample_state is SampleState.HIDDEN and int(result.sample_state) == 4
+    assert result.corrective_updates == updates
+    assert tracker.track(frames[11]).sample_state in (SampleState.LEARNED, SampleState.IN_ANCHOR_SPACE)
+    allowed = Parameters().set(adaptive_pca__min_coverage=0.0, adaptive_pca__max_occluded=1.0)
+    tracker = FaceTracker(actor, allowed)
+    for frame in frames[:10]:
+        tracker.track(frame)
+    assert tracker.track(hidden(frames[10], actor, what)).sample_state is not SampleState.HIDDEN
 
 
 def test_stages_differ_only_where_the_paper_says(scene):

@@ -24,6 +24,7 @@ STATE_COLOURS = {
     SampleState.IN_ANCHOR_SPACE: (SKY, "in the anchor space"),
     SampleState.LEARNED: (GREEN, "learned"),
     SampleState.OUTLIER: (VERMILLION, "outlier"),
+    SampleState.HIDDEN: (ORANGE, "face hidden"),
 }
 
 _STYLE = {
@@ -116,7 +117,7 @@ def coefficients(record, names: Sequence[str], spans: Spans = ()) -> str:
 
 
 def adaptation(record, spans: Spans = ()) -> str:
-    """Figure 11: mean distance of v4 from the anchor space and from the whole adaptive space, mm."""
+    """Figure 11: mean distance of v2 from the anchor space and from the adaptive space before the frame's update, mm."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
         t = record.timestamps
@@ -126,7 +127,7 @@ def adaptation(record, spans: Spans = ()) -> str:
         axis.plot(t, adaptive, color=BLUE, label="to the adaptive space (with the learned correctives)")
         axis.set_ylim(0, _top(np.concatenate([anchor, adaptive])) * 1.2)
         axis.set_xlim(t[0], t[-1] + 1e-6)
-        axis.set_ylabel("distance of v4, mm")
+        axis.set_ylabel("distance of v2, mm")
         axis.set_xlabel("time, s")
         axis.legend(loc="upper left", ncols=2)
         _mark_spans(axis, spans)
@@ -147,7 +148,7 @@ def learning(record, spans: Spans = ()) -> str:
         states.set_ylim(-0.5, 0.5)
         states.grid(visible=False)
         states.spines["left"].set_visible(False)
-        states.legend(loc="lower left", bbox_to_anchor=(0, 1.12), ncols=4, borderaxespad=0, handlelength=1.2)
+        states.legend(loc="lower left", bbox_to_anchor=(0, 1.12), ncols=5, borderaxespad=0, handlelength=1.2)
         updates.step(t, record.corrective_updates, where="post", color=PURPLE)
         updates.set_ylabel("PCA updates so far")
         updates.set_xlabel("time, s")

@@ -11,6 +11,7 @@ from .. import __version__
 from ..evaluation import FIRST, PERFORMANCE_NAMES, REPEAT
 from ..parameters import Parameters, describe
 from ..result import COLOUR_ONLY
+from ..tracking.types import SampleState
 from . import charts, page, pictures
 from .context import Context
 from .scenes import legend
@@ -39,7 +40,7 @@ def tiles(context: Context) -> str:
     """The figures one looks for first."""
     record, evaluation = context.record, context.evaluation
     total = record.stage_ms[record.tracked].sum(axis=1) if record.tracked.any() else np.array([np.nan])
-    learned = int(np.count_nonzero(np.asarray(record.sample_state) == 2))
+    learned = int(np.count_nonzero(np.asarray(record.sample_state) == SampleState.LEARNED))
     entries = [
         (f"{record.tracked.sum()} / {len(record)}", "frames tracked"),
         (
@@ -87,8 +88,10 @@ def learning(context: Context, correctives: np.ndarray | None) -> str:
     record = context.record
     parts = [
         "<h2>Learning on the fly</h2><p>Each frame whose Laplacian deformation leaves the space of the blendshapes "
-        "becomes a training sample for the corrective shapes (section 5). As they are learned, the final mesh comes "
-        "closer to the adaptive space than to the anchors alone (the paper's figure 11).</p>"
+        "becomes a training sample for the corrective shapes (section 5). The chart shows how far the deformed mesh v2 is "
+        "from the blendshapes' space, and from the adaptive space before the frame is learned from (the paper's figure "
+        "11): with a new expression both rise, and the second drops within a few frames. Of a face that is hidden, or of "
+        "which too little has depth, nothing is learned.</p>"
     ]
     if np.isfinite(record.anchor_distance).any():
         parts.append(f'<div class="chart">{charts.adaptation(record, context.spans)}</div>')

@@ -117,7 +117,10 @@ class AdaptiveModel:
         return coefficients.astype(float), coefficients @ self._anchor_rows
 
     def distances(self, displacement: np.ndarray) -> tuple[float, float]:
-        """Figure 11: mean vertex distance (mm) of a displacement (3n,) from the anchor space and the adaptive space."""
+        """Figure 11: mean vertex distance (mm) of v2 - b0 (3n,), or of v2 - v1, from the anchor and the adaptive space.
+
+        To be asked before that frame is learned from: afterwards a new expression is known already.
+        """
         residual = displacement - self.anchors @ (self.anchors.T @ displacement)
         anchor = float(np.linalg.norm(residual.reshape(-1, 3), axis=1).mean())
         residual = residual - self.correctives @ (self.correctives.T @ residual)

@@ -67,7 +67,7 @@ class ColourTracker(FaceTracker):
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
         self.pose, self._x, self._v1 = pose, x, v1
-        anchor, adaptive = self.model.distances(self._displacement(v4))
+        anchor, adaptive = self.model.distances(self._displacement(v2))
         return TrackedFrame(
             frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, SampleState.IN_ANCHOR_SPACE,
             self.model.updates, anchor_distance=anchor, adaptive_distance=adaptive, stage_ms=ms,

@@ -108,6 +108,7 @@ class FaceTracker:
             v3 = self._project(v2)
         with timed(ms, "final_deformation"):  # section 4.4
             v4 = self._displace(v3, self._deform_to_features(frame, pose, v3))
+        anchor, adaptive = self.model.distances(deformation.ravel())  # figure 11: before the frame is learned from
         with timed(ms, "adaptive_pca"):  # section 5
             state = self._learn(deformation, coverage, occluded)
         with timed(ms, "resolve"):  # section 6
@@ -115,7 +116,6 @@ class FaceTracker:
 
         self.pose, self._x, self._deformation = pose, x, deformation
         self._v1, self._v4 = v1, v4
-        anchor, adaptive = self.model.distances(self._displacement(v4))
         return TrackedFrame(
             frame.index,
             frame.timestamp,
@@ -228,7 +228,7 @@ class FaceTracker:
         """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""
         p = self.parameters.adaptive_pca
         if coverage < p.min_coverage or occluded > p.max_occluded:
-            return SampleState.OUTLIER
+            return SampleState.HIDDEN
         return self.model.learn(deformation.ravel()) if p.learn else self.model.classify(deformation.ravel())[0]
 
     def _displacement(self, vertices: np.ndarray) -> np.ndarray:

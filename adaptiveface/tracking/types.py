@@ -11,12 +11,16 @@ from ..mesh import transform_points
 
 
 class SampleState(IntEnum):
-    """What became of a frame as a training sample (section 5); the values are those of ``result.npz``."""
+    """What became of a frame as a training sample (section 5); the values are those of ``result.npz``.
+
+    HIDDEN: too little of the face has depth, or too much of it is behind something, whatever the sample looks like.
+    """
 
     UNTRACKED = 0
     IN_ANCHOR_SPACE = 1
     LEARNED = 2
     OUTLIER = 3
+    HIDDEN = 4
 
 
 #: Names of the timed stages, in the order in which they run.
@@ -38,9 +42,10 @@ class TrackedFrame:
 
     rigid (4, 4) head to camera; v1 initial blendshapes, v2 Laplacian-deformed, v3 projected on the adaptive space, v4
     final, each (N, 3) (section 4); coefficients_initial (A,) of v1 and coefficients (A,) re-solved from v4 (section 6);
-    residual: mean point-to-plane distance of the rigid fit, mm; anchor_distance, adaptive_distance: mean distance of v4
-    from the anchor space and from the adaptive space over the frontal region, mm (figure 11); corrective_updates: PCA
-    updates so far; stage_ms: milliseconds per stage of ``STAGE_NAMES``; reason: why the frame is not tracked, or "".
+    residual: mean point-to-plane distance of the rigid fit, mm; anchor_distance, adaptive_distance: mean distance of v2
+    from the anchor space and from the adaptive space over the frontal region, mm, before the frame itself is learned from
+    (figure 11); corrective_updates: PCA updates so far; stage_ms: milliseconds per stage of ``STAGE_NAMES``; reason: why
+    the frame is not tracked, or "".
     """
 
     index: int

@@ -137,7 +137,7 @@ class CurvesPane:
         self._anchor, self._adaptive = deque(maxlen=HISTORY), deque(maxlen=HISTORY)
         self.curves = LiveChart(
             ("to anchor space", "to adaptive space"), (-HISTORY, 0), (0, 1.5), "frames ago", "mean distance, mm",
-            "figure 11: distance of v4", size=(440, 230),
+            "figure 11: distance of v2", size=(440, 230),
         )  # fmt: skip
         self.stages = BarChart([*STAGE_NAMES, "2D features"], (0, 20), "ms", "time per frame", size=(440, 230))
         self.coefficients: BarChart | None = None

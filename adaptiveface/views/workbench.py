@@ -187,10 +187,10 @@ def error_chart(session: Session, measures: Measures, stages: Sequence[str] = ("
 
 
 def figure_11(session: Session, top: float = 1.5):
-    """The paper's figure 11: distance of v4 from the anchor space and from the adaptive space, and its source."""
+    """The paper's figure 11: distance of v2 from both spaces before the frame is learned from, and its source."""
     names = ("to anchor space", "to adaptive space")
     chart = LiveChart(
-        names, (0, len(session.frames) - 1), (0, top), "frame", "mean distance, mm", "figure 11: distance of v4"
+        names, (0, len(session.frames) - 1), (0, top), "frame", "mean distance, mm", "figure 11: distance of v2"
     )
     return chart, lambda replay: dict(
         zip(names, (replay.series("anchor_distance"), replay.series("adaptive_distance")), strict=True)
