@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import AdaptiveFaceError, FileFormatError, MissingExtraError
-from .files import read_bytes, read_json, replacing
+from .files import is_own, read_bytes, read_json, replacing
 
 LOOPBACK = "127.0.0.1"
 #: Own files inside the learner's folder: settings for JupyterLab, fingerprints of the notebooks as they were copied.
@@ -64,7 +64,7 @@ def copy_notebooks(folder: Path, source: Path | None = None) -> Copied:
     record = folder / STATE / "copied.json"
     known = _read_record(record)
     new, updated, kept = [], [], []
-    for path in sorted(p for p in source.rglob("*.ipynb") if ".ipynb_checkpoints" not in p.parts):
+    for path in sorted(p for p in source.rglob("*.ipynb") if ".ipynb_checkpoints" not in p.parts and is_own(p)):
         name = path.relative_to(source).as_posix()
         target, wanted = folder / name, _fingerprint(path)
         if target.exists():
@@ -134,7 +134,7 @@ def lab_command(folder: Path, port: int | None = None, browser: bool = True, not
         sys.executable, "-m", "jupyterlab", f"--ServerApp.root_dir={folder.resolve()}", f"--ServerApp.ip={LOOPBACK}",
         "--ServerApp.allow_remote_access=False",
     ]  # fmt: skip
-    first = notebook or min((path.name for path in folder.glob("*.ipynb")), default=None)
+    first = notebook or min((path.name for path in folder.glob("*.ipynb") if is_own(path)), default=None)
     if first:
         command.append(f"--LabApp.default_url=/lab/tree/{first}")
     if port is not None:

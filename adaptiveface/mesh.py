@@ -6,9 +6,10 @@ Vertices are (N, 3) float mm, triangles (T, 3) int, counter-clockwise seen from 
 from __future__ import annotations
 
 import cv2
-import numba
 import numpy as np
 import scipy.sparse as sp
+
+from .caches.compiled import compiled
 
 
 def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -27,7 +28,7 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return normals
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _accumulate_normals(vertices, triangles, normals):
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from .caches.compiled import compiled
 from .camera import Camera
 from .mesh import vertex_normals
 from .rendering import NEAR, Light, irradiance
@@ -40,7 +40,7 @@ def lit(points: np.ndarray, triangles: np.ndarray, albedo: np.ndarray, light: Li
     return np.clip(np.asarray(albedo, float) * diffuse[:, None] + 255 * specular[:, None], 0, 255).astype(np.uint8)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _paint(pixels, inverse_depths, triangles, colours, nearness, image, cull):
     """A z-buffer of inverse depths, which are linear in the picture; weights of the corners from edge functions."""
     height, width = nearness.shape

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from .caches.compiled import compiled
 from .camera import Camera
 from .mesh import vertex_normals
 
@@ -81,7 +81,7 @@ def ray_cast(camera: Camera, vertices: np.ndarray, triangles: np.ndarray, window
     return Hits(depth, triangle, barycentric, (u0, v0, u1, v1))
 
 
-@numba.njit(cache=True)
+@compiled
 def _rasterise(vertices, triangles, fx, fy, cx, cy, u0, v0, cull, depth, triangle, barycentric):
     """Fill depth, triangle and barycentric (window-sized, cleared) with the nearest hits.
 
@@ -134,14 +134,14 @@ def _rasterise(vertices, triangles, fx, fy, cx, cy, u0, v0, cull, depth, triangl
                     barycentric[v, u, 2] = w2 / total
 
 
-@numba.njit(cache=True)
+@compiled
 def _cross(a, b, out):
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@numba.njit(cache=True)
+@compiled
 def _gather(values, corners, weights):
     out = np.empty((len(corners), values.shape[1]))
     for i in range(len(corners)):

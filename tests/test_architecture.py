@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
 #: From the ground up, as docs/architecture.md has them.
 FLOORS = (
     (
-        *("errors", "files", "npz", "blas", "interrupt"),
+        *("errors", "files", "npz", "caches", "blas", "interrupt"),
         *("stages", "parameters"),
         "timing",
         *("camera", "frame", "mesh", "rendering", "painting", "appearance"),
@@ -27,14 +27,14 @@ FLOORS = (
     ("retargeting",),
     ("evaluation", "export", "live"),
     ("bench", "report"),
-    ("batch",),
+    ("batch", "doctor"),
     ("views",),
     ("cli",),
     ("__main__",),
 )
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 #: What tracking may take: arrays go in and come out.
-TRACKING = {"actor", "appearance", "camera", "frame", "mesh", "parameters", "errors", "blas"}
+TRACKING = {"actor", "appearance", "camera", "frame", "mesh", "parameters", "errors", "blas", "caches"}
 
 
 def place(path: Path) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from adaptiveface import pipeline
+from adaptiveface.caches import folders
 from adaptiveface.camera import Camera
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError
 from adaptiveface.frame import FEATURE_IDS, MEDIAPIPE_INDICES, RgbdFrame
@@ -34,7 +35,7 @@ CONTENT = b"stands for the model"
 def cache(tmp_path, monkeypatch) -> Path:
     """An empty cache, no network, and a known checksum."""
     monkeypatch.delenv(model_file.ENVIRONMENT, raising=False)
-    monkeypatch.setattr(model_file, "user_cache_path", lambda name: tmp_path / name)
+    monkeypatch.setattr(folders, "user_cache_path", lambda name: tmp_path / name)
     monkeypatch.setattr(model_file, "SHA256", hashlib.sha256(CONTENT).hexdigest())
     monkeypatch.setattr(model_file, "_from_address", lambda: (_ for _ in ()).throw(OSError("no network")))
     monkeypatch.setattr(model_file, "_from_wheel", lambda: (_ for _ in ()).throw(OSError("no index")))

@@ -55,7 +55,7 @@ def run_job(folder: str, job: Job) -> dict:
     start = time.perf_counter()
     record = {"recording": job.name.split("/")[0], "source": job.source, **dict(job.settings)}
     try:
-        with open(unfinished / LOG, "w", encoding="utf-8") as log, redirect_stdout(log):
+        with open(unfinished / LOG, "w", encoding="utf-8", errors="backslashreplace") as log, redirect_stdout(log):
             record |= _work(unfinished, job)
     except AdaptiveFaceError as error:
         shutil.rmtree(unfinished, ignore_errors=True)

@@ -14,18 +14,20 @@ from ..errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError
 from ..interrupt import Terminated, end_process, orderly_end
 from . import offline, sensors, studies, tools
 from .notes import Notes
+from .speech import speak
 
-EXIT_ERROR, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 130, 143
+EXIT_ERROR, EXIT_INTERRUPTED, EXIT_PIPE, EXIT_TERMINATED = 2, 130, 141, 143
 #: In the order of the help; each adds itself.
 COMMANDS = (
     offline.add_demo, offline.add_capture, offline.add_track, sensors.add_record, sensors.add_convert,
     offline.add_export, sensors.add_stream, sensors.add_live, studies.add_batch, studies.add_evaluate, tools.add_bench,
-    tools.add_lab, tools.add_exercises,
+    tools.add_lab, tools.add_exercises, tools.add_doctor,
 )  # fmt: skip
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run a command of ``argv`` and return the exit status; without ``argv`` as the process's command, which it ends."""
+    speak()
     try:
         with orderly_end():
             status = _run(argv)
@@ -45,8 +47,8 @@ def _run(argv: list[str] | None) -> int:
         return _fail(str(error))
     except ImportError as error:
         return _fail(f"{error} ({SYSTEM_LIBRARIES_HINT})")
-    except BrokenPipeError:
-        return _fail("nobody reads the output any more; it ends here")
+    except BrokenPipeError:  # as `| head -1` leaves it
+        return EXIT_PIPE
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
         return _fail(f"{name}{error.strerror or error}")

@@ -1,4 +1,4 @@
-"""Commands around the method: ``bench``, ``lab`` and ``exercises``."""
+"""Commands around the method: ``bench``, ``lab``, ``exercises`` and ``doctor``."""
 
 from __future__ import annotations
 
@@ -79,3 +79,17 @@ def run_exercises(args: argparse.Namespace) -> int:
             for mistake in exercise.mistakes if args.mistakes else ():
                 print(f"  planted: {mistake.words}\n  said:    {'; '.join(exercise.grade(mistake.answer).findings)}")
     return 0
+
+
+def add_doctor(commands) -> None:
+    """``doctor``."""
+    doctor = commands.add_parser("doctor", help="what is installed, what works, and how to mend the rest")
+    doctor.add_argument("--json", action="store_true", help="for programs")
+    doctor.set_defaults(run=run_doctor)
+
+
+def run_doctor(args: argparse.Namespace) -> int:
+    """``doctor``: 0 when all that is needed works, else 1."""
+    from ..doctor import run_doctor as run
+
+    return run(args.json)

@@ -13,10 +13,10 @@ Three questions, three measures:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from ..caches.compiled import compiled
 from ..mesh import rigid_alignment, transform_points
 
 #: A (frame, vertex) pair is *active* when the true skin has moved this far from the neutral in the head frame, mm.
@@ -144,7 +144,7 @@ def pose_error(
     return float(shift), float(np.degrees(np.arctan2(sine, (np.trace(difference[:3, :3]) - 1) / 2)))
 
 
-@njit(cache=True)
+@compiled
 def _distance_to_incident_triangles(points, near, vertices, triangles, start, incident):
     """Smallest distance of each point (n, 3) to the triangles around its near vertices (n, k)."""
     distances = np.empty(len(points))
@@ -162,7 +162,7 @@ def _distance_to_incident_triangles(points, near, vertices, triangles, start, in
     return distances
 
 
-@njit(cache=True)
+@compiled
 def _squared_distance_to_triangle(p, a, b, c):
     """Squared distance of point p from triangle abc: the Voronoi regions of its corners, edges and inside in turn."""
     ab, ac = _sub(b, a), _sub(c, a)
@@ -186,18 +186,18 @@ def _squared_distance_to_triangle(p, a, b, c):
     return _squared_rest(ap, ab, vb / area, ac, vc / area)
 
 
-@njit(cache=True)
+@compiled
 def _squared_rest(ap, ab, v, ac, w):
     """|ap - v ab - w ac|^2: from the point of barycentric coordinates (1 - v - w, v, w) to p."""
     rest = (ap[0] - v * ab[0] - w * ac[0], ap[1] - v * ab[1] - w * ac[1], ap[2] - v * ab[2] - w * ac[2])
     return _dot(rest, rest)
 
 
-@njit(cache=True)
+@compiled
 def _sub(u, v):
     return u[0] - v[0], u[1] - v[1], u[2] - v[2]
 
 
-@njit(cache=True)
+@compiled
 def _dot(u, v):
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, FrameError
-from ..files import replacing
+from ..files import blocks, release, replacing
 from ..mesh import rotation_vector_matrix
 from ..painting import lit, paint
 from ..result import Result
@@ -73,9 +73,17 @@ def tracked_panel(result: Result) -> Panel:
     def draw(frame: int) -> np.ndarray:
         """The mesh of this frame."""
         points = result.vertices[frame] - shift
+        release(result.vertices)
         return paint(camera, points, triangles, lit(points, triangles, SKIN), cull=True)
 
     return draw
+
+
+def _framing(result: Result) -> tuple[np.ndarray, float]:
+    """Middle (3,) of the face over all frames, mm, and how far its vertices go from there in any direction."""
+    frontal = result.frontal
+    middle = np.median(np.concatenate([b[:, frontal].mean(axis=1) for _, b in blocks(result.vertices)]), axis=0)
+    return middle, max(float(np.abs(b[:, frontal] - middle).max()) for _, b in blocks(result.vertices))
 
 
 def input_panel(source, result: Result) -> Panel:

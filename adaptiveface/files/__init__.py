@@ -2,7 +2,7 @@
 
 from .archive import Archive
 from .atomic import reason, replacing, replacing_folder
-from .bounded import open_regular, parse_json, read_bytes, read_json, read_text
+from .bounded import decoded, is_own, open_regular, parse_json, read_bytes, read_json, read_text
 from .folders import make_parent
 from .mapped import blocks, map_member, release
 from .outputs import (
@@ -25,6 +25,8 @@ __all__ = [
     "check_no_input",
     "check_output",
     "check_output_folder",
+    "decoded",
+    "is_own",
     "make_parent",
     "map_member",
     "open_regular",

@@ -51,14 +51,25 @@ def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike, max_bytes: int) -> str:
-    """The text of a regular file of at most ``max_bytes`` bytes: UTF-8, with or without a byte-order mark.
+    """The text of a regular file of at most ``max_bytes`` bytes, as :func:`decoded`.
 
     Raises :class:`FileFormatError` as :func:`read_bytes` does, and when the bytes are not UTF-8.
     """
     try:
-        return read_bytes(path, max_bytes).decode("utf-8-sig")
+        return decoded(read_bytes(path, max_bytes))
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
+
+
+def decoded(content: bytes, errors: str = "strict") -> str:
+    """UTF-8 with or without a byte-order mark, or UTF-16 with one (Windows' "Unicode text"); ``errors`` as Python's."""
+    utf16 = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    return content.decode("utf-16" if utf16 else "utf-8-sig", errors)
+
+
+def is_own(path: Path) -> bool:
+    """Whether a file is its folder's own, not one that a system puts beside it: ``._jawOpen.obj`` on macOS."""
+    return not path.name.startswith(".")
 
 
 def parse_json(content: bytes, name: str, max_values: int = 1_000_000, **options) -> Any:

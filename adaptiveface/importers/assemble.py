@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import FileFormatError, TrackingError
 from ..face_model import FaceModel, embedded_face_model
+from ..files import read_text
 from ..frame import FEATURE_IDS
 from .association import associate
 
@@ -133,9 +134,8 @@ def read_feature_vertices(given, n_vertices: int) -> np.ndarray:
     if isinstance(given, (str, os.PathLike)):
         name = os.fspath(given)
         try:
-            with open(given, encoding="utf-8") as file:
-                given = [int(word) for word in file.read(100_000).replace(",", " ").split()]
-        except (OSError, ValueError) as error:
+            given = [int(word) for word in read_text(given, 100_000).replace(",", " ").split()]
+        except ValueError as error:  # FileFormatError is one
             raise FileFormatError(f"{name}: not a text file of vertex numbers ({error})") from error
     numbers = np.asarray(given)
     if numbers.shape not in ((40,), (68,)) or numbers.dtype.kind not in "iu":

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from ..errors import FileFormatError
 from ..face_model import FaceModel
+from ..files import is_own
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 from .obj import obj_triangles, obj_vertices, read_lines
 
@@ -37,7 +38,7 @@ def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_
     triangles = obj_triangles(lines, neutral, len(mean))
     check_size(neutral, len(mean), len(triangles))
     identities = _numbered(folder)[:identity_modes]
-    targets = sorted(p for p in folder.glob("*.obj") if p.name != NEUTRAL and not p.stem.startswith("identity"))
+    targets = sorted(p for p in folder.glob("*.obj") if is_own(p) and p.name != NEUTRAL and not p.stem.startswith("identity"))
     if not identities or not targets:
         raise FileFormatError(f"{folder}: identity000.obj or the expression OBJ files are missing")
     count = len(identities) + len(targets)

@@ -7,19 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError
+from ..files import decoded, read_bytes
 
 MAX_FILE_BYTES = 64 << 20
 
 
 def read_lines(path: Path) -> list[bytes]:
     """The lines of an OBJ file; raises :class:`FileFormatError` when it is missing or absurdly large."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise FileFormatError(f"{path}: {size >> 20} MiB; at most {MAX_FILE_BYTES >> 20} MiB are read")
-        return path.read_bytes().splitlines()
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    return decoded(read_bytes(path, MAX_FILE_BYTES), errors="replace").encode().splitlines()
 
 
 def obj_vertices(lines: list[bytes], path: Path) -> np.ndarray:

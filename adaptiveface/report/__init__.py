@@ -58,7 +58,7 @@ def write_report(
     path = Path(out_dir) / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as unfinished:
-        unfinished.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8")
+        unfinished.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8", errors="backslashreplace")
     return path
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError
+from ..files import decoded, is_own, read_bytes
 from .arkit import canonical_name
 from .character import Character, make_character
 from .units import size_note, to_head_frame
@@ -45,12 +46,7 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise FileFormatError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB")
-        return path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from None
+    return decoded(read_bytes(path, MAX_FILE_BYTES), errors="replace").splitlines()
 
 
 def _vertices(path: Path, lines: list[str]) -> np.ndarray:
@@ -72,7 +68,7 @@ def load_obj_folder(folder: str | Path, unit: float | None = None) -> Character:
     Raises :class:`FileFormatError`: no neutral, no shape, a shape with another number of vertices, bad values.
     """
     folder = Path(folder)
-    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".obj" and p.is_file())
+    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".obj" and is_own(p) and p.is_file())
     if len(paths) > MAX_FILES:
         raise FileFormatError(f"{folder}: {len(paths)} OBJ files; at most {MAX_FILES} are read")
     neutral_path = next((p for key in _NEUTRAL for p in paths if _key(p) == key), None)

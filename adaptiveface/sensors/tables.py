@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import FileFormatError, abbreviated
-from ..files import read_bytes
+from ..files import decoded, read_bytes
 from ..frame import FEATURE_IDS, Features2D
 from ..timing import FrameTimes, frame_times
 from .intrinsics import camera_of
@@ -113,7 +113,7 @@ def _rows(path: Path, columns: tuple[str, ...], most: int) -> Iterator[tuple[int
         raise FileFormatError(f"{path}: {lines} lines; at most {most} fit the number of frames")
     whole, last, line = content.endswith((b"\n", b"\r")), lines + 1, 0
     try:
-        reader = csv.reader(io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline=""))
+        reader = csv.reader(io.StringIO(decoded(content), newline=""))
         header = tuple(cell.strip().lower() for cell in next(reader, ()))
         if header != columns:
             raise FileFormatError(f"{path}: the first line is not '{','.join(columns)}'")

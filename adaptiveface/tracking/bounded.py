@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from ..caches.compiled import compiled
 
-@numba.njit(cache=True)
+
+@compiled
 def _sparse_relaxation(h, g, penalty, lower, upper, x, relaxation, sweeps, tolerance):
     for sweep in range(sweeps):
         change = 0.0
@@ -27,7 +28,7 @@ def _sparse_relaxation(h, g, penalty, lower, upper, x, relaxation, sweeps, toler
     return sweeps
 
 
-@numba.njit(cache=True)
+@compiled
 def _projected_relaxation(h, g, lower, upper, x, relaxation, sweeps, tolerance):
     for sweep in range(sweeps):
         change = 0.0

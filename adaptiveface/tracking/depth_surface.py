@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
+from ..caches.compiled import compiled
 from ..camera import Camera
 from ..parameters import DepthParameters
 
@@ -78,7 +78,7 @@ def depth_surface(depth: np.ndarray, camera: Camera, window, parameters: DepthPa
     return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_view)
 
 
-@numba.njit(cache=True)
+@compiled
 def _associate(
     points,
     normals,

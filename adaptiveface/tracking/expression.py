@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 from scipy.linalg.blas import dsyrk
 
 from ..actor import Actor
+from ..caches.compiled import compiled
 from ..camera import Camera
 from ..frame import Features2D
 from ..mesh import transform_points
@@ -45,7 +45,7 @@ def add_rows(
     equations.g[...] += target @ jacobian
 
 
-@numba.njit(cache=True)
+@compiled
 def _depth_jacobian(points, normals, turned, weights, basis, centre):
     """(m, 6 + A) rows of the matched points: (v - c) x n, n, and the turned normal times the blendshapes (eq. 1)."""
     count, a = 0, basis.shape[2]

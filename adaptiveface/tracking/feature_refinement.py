@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import cv2
-import numba
 import numpy as np
 
 from ..actor import Actor
 from ..appearance import BLURS, channels
+from ..caches.compiled import compiled
 from ..camera import Camera
 from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..mesh import surface_points, transform_points
@@ -135,7 +135,7 @@ def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndar
     return parameters.deviation**2 * ((1.0 - OWN_SHARE) * alike + OWN_SHARE * np.eye(len(places)))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _carry(mesh, triangles, corners, nearness, area, focal):
     """Samples on a mesh (N, 3) in the camera frame: points (Q, 3), and by how much each of them counts (Q,).
 

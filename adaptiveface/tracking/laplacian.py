@@ -17,12 +17,12 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import splu
 
+from ..caches.compiled import compiled
 from ..mesh import cotangent_laplacian
 from .depth_surface import Correspondences
 from .feature_rows import FeatureRows
@@ -85,7 +85,7 @@ class PrefactoredSystem:
         return _solve_three(*self._pattern, single, self._inverse_diagonal, self._order, np.ascontiguousarray(residual))
 
 
-@numba.njit(cache=True)
+@compiled
 def _solve_three(starts, rows, values, inverse_diagonal, order, right):
     """P^T G^-T D^-1 G^-1 P b for b (n, 3): the three coordinates share one pass over the factor (SuperLU makes three)."""
     n = len(inverse_diagonal)

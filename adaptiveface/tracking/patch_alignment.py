@@ -6,8 +6,9 @@ threads beside the tracker.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from ..caches.compiled import compiled
 
 #: Deviations of the gain and the offset (percent) of a patch's brightness from one and zero.
 GAIN, OFFSET = 0.3, 20.0
@@ -15,7 +16,7 @@ GAIN, OFFSET = 0.3, 20.0
 _LONGEST = 1.5
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def align_patches(images, pixels, weights, colours, starts, seen, shift, detected, precision, rounds, floor):
     """Gauss-Newton: shifts (n, 2) px of the patches ``seen`` (n,), and the variance (n,) px^2 that is left of each.
 
@@ -56,7 +57,7 @@ def align_patches(images, pixels, weights, colours, starts, seen, shift, detecte
     return shift, variance
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _normal_equations(images, pixels, weights, colours, shift, light, floor):
     """H (4, 4) and g (4,) of one patch in (shift u, shift v, gain, offset), samples with Cauchy's weights.
 
@@ -116,7 +117,7 @@ def _normal_equations(images, pixels, weights, colours, shift, light, floor):
     return h, g
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _eliminate_light(h, g, light, gains, rests):
     """Reduce H and g to the shift, in place; gain and offset, with their priors, follow as ``rests - gains @ step``."""
     prior_gain, prior_offset = GAIN**-2, OFFSET**-2

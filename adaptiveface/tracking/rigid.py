@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from ..caches.compiled import compiled
 from ..mesh import rotation_vector_matrix, transform_points
 from ..parameters import RigidParameters
 from .depth_surface import Correspondences, DepthSurface, find_correspondences
@@ -38,7 +38,7 @@ def apply_rigid_update(pose: np.ndarray, update: np.ndarray, centre: np.ndarray)
     return moved
 
 
-@numba.njit(cache=True)
+@compiled
 def _point_to_plane_equations(points, normals, distances, weights, centre):
     """Normal equations of :func:`rigid_jacobian` without storing it (tested equal to the NumPy form)."""
     h, g, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)

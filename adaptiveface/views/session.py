@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
-from platformdirs import user_cache_dir
 
 from .. import face_model
 from ..actor import Actor
+from ..caches import cache_folder
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, FileFormatError
 from ..evaluation import GroundTruth, TruthFrame
@@ -25,6 +28,8 @@ from ..npz import Field, load_checked
 from ..parameters import Parameters
 from ..pipeline import FrameReader, capture_from, one_blas_thread
 from ..sensors import open_source
+
+T = TypeVar("T")
 
 #: Environment variable: fewer frames, for test runs.
 FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
@@ -72,11 +77,11 @@ class Session:
     def actor(self) -> Actor:
         """The rig captured from the neutral frames (section 3), once; later sessions take it from the cache."""
         if self._actor is None:
-            if self._actor_file is not None and self._actor_file.exists():
-                self._actor = Actor.load(self._actor_file)
-            else:
-                self._actor = capture_from(self, Parameters(), neutral_frames=len(self.neutral))
-                if self._actor_file is not None:
+            self._actor = None if self._actor_file is None else _cached(self._actor_file, Actor.load)
+        if self._actor is None:
+            self._actor = capture_from(self, Parameters(), neutral_frames=len(self.neutral))
+            if self._actor_file is not None:
+                with _not_cached():
                     self._actor.save(self._actor_file)
         return self._actor
 
@@ -97,7 +102,7 @@ def load_session(
     """
     count = frames or (24 if fast() else 100)
     if source == "synthetic" or source.startswith("synthetic:"):
-        return _synthetic(source, neutral_frames, count, Path(cache) if cache else Path(user_cache_dir("adaptiveface")))
+        return _synthetic(source, neutral_frames, count, Path(cache) if cache else cache_folder())
     return _recorded(source, neutral_frames, count, first)
 
 
@@ -118,21 +123,45 @@ def _recorded(source: str, neutral_frames: int, count: int, first: int) -> Sessi
     return Session(opened.name, opened.camera, found[:neutral_frames], found[neutral_frames:])
 
 
-def _synthetic(source: str, neutral_frames: int, count: int, cache: Path) -> Session:
+def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None) -> Session:
     """Render (or load) one performance of ``count`` frames, half of them the first time, half the repeat."""
+    if cache is None:
+        return _session(source, _render(source, neutral_frames, count), neutral_frames, None)
     asset = Path(face_model.__file__).parent / "assets" / "face_model.npz"
     key = f"{CACHE_VERSION}|{source}|{neutral_frames}|{count}|{hashlib.sha256(asset.read_bytes()).hexdigest()}"
     stem = cache / f"performance-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     data_file, actor_file = stem.with_suffix(".npz"), stem.with_suffix(".actor.npz")
-    try:
-        data = load_checked(data_file, _FIELDS, max_bytes=2 << 30)
-    except FileFormatError:  # not there yet, or damaged: made anew
+    data = _cached(data_file, lambda path: load_checked(path, _FIELDS, max_bytes=2 << 30))
+    if data is None:
         data = _render(source, neutral_frames, count)
-        cache.mkdir(parents=True, exist_ok=True)
-        with replacing(data_file, shared=True) as part, open(part, "wb") as stream:
-            np.savez(stream, **data)
-        actor_file.unlink(missing_ok=True)
+        with _not_cached():
+            cache.mkdir(parents=True, exist_ok=True)
+            with replacing(data_file, shared=True) as part, open(part, "wb") as stream:
+                np.savez(stream, **data)
+            actor_file.unlink(missing_ok=True)
     return _session(source, data, neutral_frames, actor_file)
+
+
+def _cached(path: Path, load: Callable[[Path], T]) -> T | None:
+    """What ``load`` makes of a file in the cache; None where there is none, or it is damaged: then it is removed."""
+    if not path.exists():
+        return None
+    try:
+        return load(path)
+    except (FileFormatError, OSError) as error:
+        print(f"{path}: damaged, made again ({' '.join(str(error).removeprefix(f'{path}: ').split())[:80]})")
+        with suppress(OSError):
+            path.unlink()
+        return None
+
+
+@contextmanager
+def _not_cached() -> Iterator[None]:
+    """A cache that cannot be written is done without."""
+    try:
+        yield
+    except (OSError, AdaptiveFaceError) as error:
+        print(f"not kept for the next time: {error}")
 
 
 def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarray]:
@@ -182,7 +211,7 @@ def liveliest_window(script: np.ndarray, length: int) -> int:
     return int(sums.argmax())
 
 
-def _session(source: str, data: dict, neutral_frames: int, actor_file: Path) -> Session:
+def _session(source: str, data: dict, neutral_frames: int, actor_file: Path | None) -> Session:
     height, width = data["depth"].shape[1:]
     camera = Camera(width, height, *map(float, data["intrinsics"]))
     frames = []

@@ -1,0 +1,16 @@
+"""What commands print arrives on any terminal, pipe and file."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+
+def speak() -> None:
+    """No message may end a job: characters that the output's encoding lacks are written as ``\\\\u30c6``.
+
+    For everything that writes there: print, progress bars, warnings, logging, and Python's own messages.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # None where there is no console
+            stream.reconfigure(errors="backslashreplace")
