@@ -14,6 +14,8 @@ from .files import replacing
 from .frame import FEATURE_IDS
 from .npz import Field, check_indices, load_checked
 
+#: A rig of 100,000 vertices and 100 expressions has half of it.
+MAX_BYTES = 256 << 20
 _FIELDS = {
     "neutral": Field(("N", 3)),
     "blendshapes": Field(("A", "N", 3)),
@@ -74,7 +76,7 @@ class Actor:
     @classmethod
     def load(cls, path: str | os.PathLike) -> Actor:
         """Read ``actor.npz``; raises :class:`FileFormatError` naming the file and the array."""
-        data = load_checked(path, _FIELDS, max_bytes=2 << 30)
+        data = load_checked(path, _FIELDS, max_bytes=MAX_BYTES)
         n = len(data["neutral"])
         for name in ("triangles", "feature_triangles", *({"appearance_triangles"} & set(data))):
             check_indices(path, name, data[name], n)

@@ -14,10 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import FileFormatError
-from .files import blocks, map_member, replacing
+from .errors import FileFormatError, abbreviated
+from .files import Archive, blocks, map_member, replacing
 
 MAX_BYTES = 8 << 30
+#: Of the whole file, whose large arrays may stay on the disk.
+MAX_FILE_BYTES = 1 << 40
 #: An array that may stay on the disk does so from this many bytes on; smaller ones are read, which leaves the file free.
 MAPPED_FROM = 128 << 20
 
@@ -42,13 +44,13 @@ def _header(member, name: str, path: Path) -> tuple[tuple[int, ...], np.dtype]:
 
 def _check(path: Path, name: str, field: Field, shape, dtype: np.dtype, sizes: dict[str, int]) -> None:
     if dtype.kind not in field.kind:
-        raise FileFormatError(f"{path}: array '{name}' has dtype {dtype}, expected kind '{field.kind}'")
+        raise FileFormatError(f"{path}: array '{name}' has dtype {abbreviated(dtype)}, expected kind '{field.kind}'")
     if len(shape) != len(field.shape):
-        raise FileFormatError(f"{path}: array '{name}' has shape {shape}, expected {field.shape}")
+        raise FileFormatError(f"{path}: array '{name}' has shape {abbreviated(shape)}, expected {field.shape}")
     for got, want in zip(shape, field.shape, strict=True):
         expected = sizes.setdefault(want, got) if isinstance(want, str) else want
         if got != expected:
-            raise FileFormatError(f"{path}: array '{name}' has shape {shape}, expected {field.shape} with {sizes}")
+            raise FileFormatError(f"{path}: array '{name}' has shape {abbreviated(shape)}, expected {field.shape} with {sizes}")
 
 
 def load_checked(
@@ -61,31 +63,34 @@ def load_checked(
     are checked block by block. Raises :class:`FileFormatError` naming the file and the array.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileFormatError(f"{path}: no such file")
     out: dict[str, np.ndarray] = {}
     sizes: dict[str, int] = {}
     total = 0
     try:
-        with zipfile.ZipFile(path) as archive:
+        with Archive(path, MAX_FILE_BYTES) as archive:
             members = set(archive.namelist())
             for name, field in fields.items():
                 if f"{name}.npy" not in members:
                     if field.optional:
                         continue
                     raise FileFormatError(f"{path}: the array '{name}' is missing")
-                with archive.open(f"{name}.npy") as member:
+                info = archive.member(f"{name}.npy")
+                with archive.open(info) as member:
                     shape, dtype = _header(member, name, path)
+                    begins = member.tell()
                 if dtype.hasobject:
                     raise FileFormatError(f"{path}: array '{name}' holds Python objects; pickles are refused")
-                info = archive.getinfo(f"{name}.npy")
+                needed = int(np.prod(shape, dtype=object)) * dtype.itemsize
+                if begins + needed != info.file_size:
+                    held = info.file_size - begins
+                    raise FileFormatError(f"{path}: array '{name}' promises {abbreviated(needed)} bytes and holds {held}")
                 if name in mapped and info.file_size >= MAPPED_FROM:
                     _check(path, name, field, shape, dtype, sizes)
                     array = map_member(path, info, partial(_check_values, path, name))
                     if array is not None:
                         out[name] = array
                         continue
-                total += int(np.prod(shape, dtype=object)) * dtype.itemsize
+                total += needed
                 if total > max_bytes:
                     raise FileFormatError(f"{path}: its arrays need more than {max_bytes >> 20} MiB")
                 _check(path, name, field, shape, dtype, sizes)
@@ -96,7 +101,7 @@ def load_checked(
     except FileFormatError:
         raise
     except Exception as error:  # damaged archives and headers raise anything, from zlib.error to tokenize.TokenError
-        raise FileFormatError(f"{path}: not a readable npz file ({error})") from error
+        raise FileFormatError(f"{path}: not a readable npz file ({abbreviated(error, 120)})") from error
     return out
 
 

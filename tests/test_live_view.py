@@ -15,7 +15,7 @@ from scenes import exact_actor  # noqa: E402
 
 from adaptiveface import views  # noqa: E402
 from adaptiveface.actor import Actor  # noqa: E402
-from adaptiveface.errors import AdaptiveFaceError, FileFormatError  # noqa: E402
+from adaptiveface.errors import AdaptiveFaceError  # noqa: E402
 from adaptiveface.live.run import FAILED  # noqa: E402
 from adaptiveface.sensors.live import LiveSensor  # noqa: E402
 from adaptiveface.sensors.recording import Recording  # noqa: E402
@@ -87,7 +87,7 @@ def test_sliders_and_buttons_act_on_the_session(sensor, actor, strict, tmp_path)
         await view.until(lambda v: v._recorder.frames >= 5)
         view.controls.record.value = False
         assert "frames in" in view.controls.status.value
-        with pytest.raises(FileFormatError, match="already holds a recording"):
+        with pytest.raises(AdaptiveFaceError, match="holds files already"):
             view.record()
         view.close()
 

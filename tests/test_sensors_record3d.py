@@ -111,7 +111,7 @@ def test_a_file_tracks_to_the_same_result(tmp_path):
     ("metadata", "replace", "words"),
     [
         ({}, {"metadata": None}, "metadata"),
-        ({}, {"metadata": b"{"}, "not JSON"),
+        ({}, {"metadata": b"{"}, "not readable as JSON"),
         ({}, {"metadata": b"[1]"}, "not a JSON object"),
         ({"dw": 0}, {}, "dw = 0"),
         ({"dw": 10**6}, {}, "dw = 1000000"),
@@ -133,7 +133,7 @@ def test_a_file_that_cannot_be_used_is_named_with_its_value(tmp_path, metadata, 
 
 def test_not_a_zip(tmp_path):
     (tmp_path / "a.r3d").write_bytes(b"nothing of the kind")
-    with pytest.raises(FileFormatError, match="not a Record3D file"):
+    with pytest.raises(FileFormatError, match="not a readable zip archive"):
         open_source(str(tmp_path / "a.r3d"))
 
 

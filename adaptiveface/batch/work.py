@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AdaptiveFaceError
-from ..files import read_text, replacing
+from ..files import read_json, replacing
 from ..tracking.types import SampleState
 from .jobs import Job
 
@@ -28,7 +28,7 @@ def finished(folder: Path, job: Job) -> dict | None:
     if not path.is_file():
         return None
     try:
-        record = json.loads(read_text(path, _MAX_JSON_BYTES))
+        record = read_json(path, _MAX_JSON_BYTES)
     except (AdaptiveFaceError, ValueError):
         return None
     return record if isinstance(record, dict) and record.get("fingerprint") == job.fingerprint else None

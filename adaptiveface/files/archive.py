@@ -11,9 +11,9 @@ from pathlib import Path
 from ..errors import FileFormatError
 from .bounded import open_regular, size
 
-#: A member may unpack to this many bytes without question, and beyond it to so many for every byte that it takes in the
+#: Members may unpack to this many bytes without question, and beyond it to so many for every byte that they take in the
 #: archive: what is measured shrinks to a tenth, a bomb of zeros to a thousandth.
-FREE_BYTES, MOST_PER_BYTE = 16 << 20, 100
+FREE_BYTES, MOST_PER_BYTE = 64 << 20, 100
 
 
 class _Stream(io.BufferedReader):
@@ -35,7 +35,7 @@ class Archive(zipfile.ZipFile):
     """
 
     def __init__(self, path: str | os.PathLike, max_bytes: int, max_directory_bytes: int = 1 << 20) -> None:
-        self.path = Path(path)
+        self.path, self._unexplained = Path(path), {}
         self._stream = _Stream(open_regular(path, max_bytes).detach())
         self._stream.limit = max(max_directory_bytes, 1 << 17)
         try:
@@ -56,12 +56,16 @@ class Archive(zipfile.ZipFile):
             self._stream.close()
 
     def member(self, name: str) -> zipfile.ZipInfo:
-        """The entry ``name``; raises :class:`FileFormatError` where it unpacks to far more than its size explains."""
+        """The entry ``name``; raises :class:`FileFormatError` where entries unpack to far more than their size explains."""
         try:
             entry = self.getinfo(name)
         except KeyError:
             raise FileFormatError(f"{self.path}: '{name}' is missing") from None
-        if entry.file_size > FREE_BYTES + MOST_PER_BYTE * min(entry.compress_size, os.fstat(self._stream.fileno()).st_size):
+        stored = min(entry.compress_size, os.fstat(self._stream.fileno()).st_size)
+        unexplained = entry.file_size - MOST_PER_BYTE * stored
+        if unexplained > 0:
+            self._unexplained[name] = unexplained
+        if unexplained > 0 and sum(self._unexplained.values()) > FREE_BYTES:
             grown = f"{size(entry.file_size)} from {size(entry.compress_size)}"
             raise FileFormatError(f"{self.path}: '{name}' unpacks to {grown}, far more than its size explains")
         return entry

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from ..errors import FileFormatError, TrackingError
+from ..errors import FileFormatError, TrackingError, abbreviated
 from ..face_model import FaceModel, embedded_face_model
 from ..files import read_text
 from ..frame import FEATURE_IDS
@@ -135,8 +135,10 @@ def read_feature_vertices(given, n_vertices: int) -> np.ndarray:
         name = os.fspath(given)
         try:
             given = [int(word) for word in read_text(given, 100_000).replace(",", " ").split()]
-        except ValueError as error:  # FileFormatError is one
-            raise FileFormatError(f"{name}: not a text file of vertex numbers ({error})") from error
+        except FileFormatError:
+            raise
+        except ValueError as error:
+            raise FileFormatError(f"{name}: not a text file of vertex numbers ({abbreviated(error)})") from error
     numbers = np.asarray(given)
     if numbers.shape not in ((40,), (68,)) or numbers.dtype.kind not in "iu":
         raise FileFormatError(f"{name}: {numbers.shape} {numbers.dtype}; 40 or 68 vertex numbers are expected")

@@ -13,6 +13,8 @@ import numpy as np
 
 from ..errors import FileFormatError, MissingExtraError
 from ..face_model import FaceModel
+from ..files import open_regular
+from ..files.archive import FREE_BYTES, MOST_PER_BYTE
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 
 
@@ -27,8 +29,7 @@ def load_basel(
     """
     path = Path(path)
     h5py = _import_h5py()
-    if not path.is_file():
-        raise FileFormatError(f"{path}: no such file")
+    open_regular(path, MAX_BYTES).close()
     try:
         with h5py.File(path, "r") as file:
             foreign = _read(_Reader(h5py, file, path), path, identity_modes, expression_modes)
@@ -71,7 +72,10 @@ class _Reader:
     def read(self, name: str, kind: str, dimensions: int, columns: int | None = None) -> np.ndarray:
         data = self.dataset(name, kind, dimensions)
         shape = data.shape if columns is None else (data.shape[0], min(columns, data.shape[1]))
-        self._left -= int(np.prod(shape, dtype=object)) * data.dtype.itemsize
+        needed = int(np.prod(shape, dtype=object)) * data.dtype.itemsize
+        if needed > FREE_BYTES + MOST_PER_BYTE * data.id.get_storage_size():
+            raise FileFormatError(f"{self._path}: '{name}' promises {needed} bytes, far more than its size explains")
+        self._left -= needed
         if self._left < 0:
             raise FileFormatError(f"{self._path}: its arrays need more than {MAX_BYTES >> 20} MiB")
         return data[:] if columns is None else data[:, : shape[1]]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 
 from ..errors import FileFormatError, ParameterError
 from ..face_model import FaceModel, load_face_model
+from ..files import Archive, open_regular
+from .assemble import MAX_BYTES
 from .basel import load_basel
 from .flame import load_flame, refuse_pickle
 from .gnm import load_gnm
@@ -28,7 +29,7 @@ def import_face_model(path: str | os.PathLike, **options) -> FaceModel:
             raise FileFormatError(f"{path}: a folder without {NEUTRAL}; expected {_KNOWN}")
         return load_ict_facekit(path, **options)
     refuse_pickle(path)
-    with open(path, "rb") as file:
+    with open_regular(path, MAX_BYTES) as file:
         magic = file.read(4)
     if magic == _HDF5:
         return load_basel(path, **options)
@@ -47,8 +48,5 @@ def import_face_model(path: str | os.PathLike, **options) -> FaceModel:
 
 
 def _members(path: Path) -> set[str]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return set(archive.namelist())
-    except (zipfile.BadZipFile, OSError) as error:
-        raise FileFormatError(f"{path}: not a readable npz file ({error})") from error
+    with Archive(path, MAX_BYTES) as archive:
+        return set(archive.namelist())

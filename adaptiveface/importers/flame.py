@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..face_model import FaceModel
+from ..files import open_regular
 from ..mesh import rotation_vector_matrix
 from ..npz import Field, check_indices, load_checked
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
@@ -71,11 +72,8 @@ def load_flame(
 
 def refuse_pickle(path: Path) -> None:
     """Raise :class:`FileFormatError` for a pickle, by its name or first byte, with the way to convert it."""
-    try:
-        with open(path, "rb") as file:
-            first = file.read(1)
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    with open_regular(path, MAX_BYTES) as file:
+        first = file.read(1)
     if path.suffix in (".pkl", ".pickle") or first == b"\x80":
         line = CONVERSION.format(name=path.name, stem=path.stem)
         raise FileFormatError(

@@ -9,12 +9,29 @@ import numpy as np
 from ..errors import FileFormatError
 from ..files import decoded, read_bytes
 
-MAX_FILE_BYTES = 64 << 20
+#: Vertices and faces each: a head of film quality has a tenth of it.
+MAX_FILE_BYTES, MAX_LINES, MAX_ELEMENTS, MAX_LINE_BYTES = 96 << 20, 8_000_000, 1_000_000, 1 << 16
 
 
 def read_lines(path: Path) -> list[bytes]:
-    """The lines of an OBJ file; raises :class:`FileFormatError` when it is missing or absurdly large."""
-    return decoded(read_bytes(path, MAX_FILE_BYTES), errors="replace").encode().splitlines()
+    """The lines of an OBJ file that hold vertices and faces.
+
+    Raises :class:`FileFormatError` when it is missing or absurdly large; it is counted before a line is made of it.
+    """
+    content = read_bytes(path, MAX_FILE_BYTES)
+    if not content[:1].isascii():  # a byte-order mark
+        content = decoded(content, errors="replace").encode()
+    for what, most, count in (
+        ("lines", MAX_LINES, content.count(b"\n") + content.count(b"\r")),
+        ("vertices", MAX_ELEMENTS, content.count(b"v ")),
+        ("faces", MAX_ELEMENTS, content.count(b"f ")),
+    ):
+        if count > most:
+            raise FileFormatError(f"{path}: {count} {what}; at most {most} are read")
+    lines = [line for line in content.splitlines() if line.startswith((b"v ", b"f "))]
+    if max(map(len, lines), default=0) > MAX_LINE_BYTES:
+        raise FileFormatError(f"{path}: a line of more than {MAX_LINE_BYTES} bytes")
+    return lines
 
 
 def obj_vertices(lines: list[bytes], path: Path) -> np.ndarray:

@@ -14,7 +14,8 @@ from .convention import ARKIT_NAMES, ROTATIONS, rotations
 from .timecode import parse, timecode, to_seconds
 
 HEADER = ("Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES), *ROTATIONS)
-MAX_BYTES = 512 << 20
+#: Half an hour at 60 frames a second.
+MAX_BYTES, MAX_ROWS = 96 << 20, 150_000
 _VALUES = HEADER[2:]
 
 
@@ -78,7 +79,10 @@ def read_take(path: str | os.PathLike) -> LiveLinkTake:
     Columns go by their names, in any case; commas, semicolons (with decimal commas) and tabs separate them. Raises
     :class:`FileFormatError` naming the file, the line and the reason.
     """
-    lines = read_text(path, MAX_BYTES).splitlines()
+    text = read_text(path, MAX_BYTES)
+    if text.count("\n") + text.count("\r") > 2 * MAX_ROWS:
+        raise FileFormatError(f"{path}: more than {MAX_ROWS} lines")
+    lines = text.splitlines()
     separator = max(",;\t", key=lines[0].count) if lines else ","
     columns = _columns(path, next(csv.reader(lines[:1], delimiter=separator), []))
     times, rows, tracked = [], [], []

@@ -21,6 +21,9 @@ from .shape_names import driven_shapes
 #: Displacements in character files are whole numbers of this many millimetres.
 STEP_MM = 0.04
 
+#: Most coordinates of all expressions together, 8 bytes each.
+MAX_VALUES = 100_000_000
+
 _FIELDS = {
     "neutral": Field(("V", 3)),
     "triangles": Field(("T", 3), "iu"),
@@ -123,8 +126,10 @@ class Character:
 
 def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Character:
     """Read a file of :meth:`Character.save`; raises :class:`FileFormatError` naming what is wrong."""
-    data = load_checked(path, _FIELDS, max_bytes=1 << 30)
+    data = load_checked(path, _FIELDS, max_bytes=256 << 20)
     n = len(data["neutral"])
+    if 3 * n * len(data["expressions"]) > MAX_VALUES:
+        raise FileFormatError(f"{path}: {len(data['expressions'])} expressions of {n} vertices are too many")
     for key in ("triangles", "moving"):
         check_indices(path, key, data[key], n)
     expressions = np.zeros((len(data["expressions"]), n, 3))

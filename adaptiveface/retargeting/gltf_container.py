@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 import struct
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import unquote
 
 from ..errors import AdaptiveFaceError, FileFormatError
-from ..files import read_bytes
+from ..files import parse_json, read_bytes
 
-MAX_FILE_BYTES = 1 << 30
+#: Of the file and all files beside it that it names.
+MAX_FILE_BYTES = 256 << 20
 MAX_JSON_BYTES = 64 << 20
 MAX_ITEMS = 100_000
 MAX_CHUNKS = 16
@@ -35,7 +35,7 @@ class GltfContainer:
         self._buffers: dict[int, memoryview] = {}
         with self.errors():
             data = memoryview(read_bytes(self.path, MAX_FILE_BYTES))
-            self.size = len(data)
+            self.size = self._taken = len(data)
             self.document = self._parse(data)
             if not isinstance(self.document, dict):
                 raise self.error("its JSON is not an object")
@@ -91,7 +91,7 @@ class GltfContainer:
         def no_number(text: str):
             raise ValueError(f"{text} is not a number")
 
-        return json.loads(bytes(data).decode("utf-8-sig"), parse_constant=no_number)
+        return parse_json(bytes(data), str(self.path), parse_constant=no_number)
 
     def items(self, name: str) -> list[dict]:
         """A top-level array of objects, [] where absent."""
@@ -153,7 +153,9 @@ class GltfContainer:
                 return base64.b64decode(body, validate=True), head[5:-7].partition(";")[0]
             except binascii.Error:
                 raise self.error("a data URI that is not base64") from None
-        return read_bytes(self.beside(uri), MAX_FILE_BYTES), ""
+        content = read_bytes(self.beside(uri), MAX_FILE_BYTES - self._taken)
+        self._taken += len(content)
+        return content, ""
 
     def beside(self, uri: str) -> Path:
         """The file that a relative URI names; an error where it leaves the file's folder."""

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError
-from ..files import decoded, is_own, read_bytes
+from ..files import is_own
+from ..importers.obj import read_lines
 from .arkit import canonical_name
 from .character import Character, make_character
 from .units import size_note, to_head_frame
 
-MAX_FILE_BYTES = 256 << 20
 MAX_FILES = 1000
-MAX_TOTAL_VALUES = 400_000_000
+MAX_TOTAL_VALUES = 100_000_000
 _NEUTRAL = ("neutral", "genericneutralmesh", "base", "basis", "rest", "default")
 _IDENTITY = re.compile(r"identity\d+|random_identity\w*")
 
@@ -46,7 +46,7 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lines(path: Path) -> list[str]:
-    return decoded(read_bytes(path, MAX_FILE_BYTES), errors="replace").splitlines()
+    return [line.decode(errors="replace") for line in read_lines(path)]
 
 
 def _vertices(path: Path, lines: list[str]) -> np.ndarray:

@@ -9,6 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import BinaryIO
 
+from ..errors import FileFormatError
+from ..files import open_regular
+
 #: Identifiers of the elements that are opened or searched.
 _EBML, _SEGMENT = 0x1A45DFA3, 0x18538067
 _TAGS, _TRACKS, _ATTACHMENTS = 0x1254C367, 0x1654AE6B, 0x1941A469
@@ -21,9 +24,9 @@ _MAX_SEARCHED, _MAX_ELEMENTS = 4 << 20, 200_000
 def is_plain_video(path: Path) -> bool:
     """Whether ``path`` is a Matroska file without the marks of Azure Kinect's recorder; False for any other file."""
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path, 1 << 62) as stream:
             return _is_matroska(stream) and not _has_marks(stream, path.stat().st_size)
-    except OSError:
+    except (OSError, FileFormatError):
         return False
 
 

@@ -11,10 +11,8 @@ Picture and depth share one view: the picture is scaled to the depth's size, and
 
 from __future__ import annotations
 
-import json
 import os
 import warnings
-import zipfile
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -22,15 +20,18 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..camera import Camera
+from ..camera import MAX_PIXELS, Camera
 from ..errors import FileFormatError, FrameError
+from ..files import Archive, parse_json
 from ..frame import RgbdFrame
 from ..timing import FrameTimes, frame_times
 from .intrinsics import camera_of, focal_and_centre, rate_of
 from .lzfse_stream import decompress, lzfse_module
 from .recording import DEPTH_RANGE_MM
 
-_MAX_METADATA_BYTES, _MAX_IMAGE_BYTES, _MAX_ENTRIES, _MAX_SIDE = 256 << 20, 64 << 20, 1_000_000, 8192
+#: 80,000 frames, which are 22 minutes at 60 frames a second.
+_MAX_DIRECTORY_BYTES, _MAX_METADATA_BYTES, _MAX_METADATA_VALUES = 16 << 20, 64 << 20, 4_000_000
+_MAX_FILE_BYTES, _MAX_IMAGE_BYTES, _MAX_SIDE = 1 << 40, 64 << 20, 8192
 _MAX_DEPTH_SIDE = 2048
 
 
@@ -47,10 +48,7 @@ class R3dRecording:
     def __init__(self, path: str | os.PathLike) -> None:
         lzfse_module()
         self.path, self.name = Path(path), Path(path).stem
-        try:
-            self._zip = zipfile.ZipFile(self.path)
-        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-            raise FileFormatError(f"{self.path}: not a Record3D file ({error})") from None
+        self._zip = Archive(self.path, _MAX_FILE_BYTES, _MAX_DIRECTORY_BYTES)
         try:
             self._read_metadata()
         except BaseException:
@@ -65,8 +63,6 @@ class R3dRecording:
             raise FileFormatError(f"{self.path}: depth {self._size} and picture {picture} differ in shape")
         k = focal_and_centre(self.path, "K", metadata.get("K"))
         entries = self._zip.namelist()
-        if len(entries) > _MAX_ENTRIES:
-            raise FileFormatError(f"{self.path}: {len(entries)} entries are too many for a recording")
         names = (entry[5:-6] for entry in entries if entry.startswith("rgbd/") and entry.endswith(".depth"))
         numbers = sorted(int(name) for name in names if name.isascii() and name.isdecimal() and len(name) <= 9)
         if not numbers:
@@ -116,7 +112,7 @@ class R3dRecording:
         try:
             with warnings.catch_warnings(), Image.open(BytesIO(content), formats=("JPEG", "PNG")) as image:
                 warnings.simplefilter("error", Image.DecompressionBombWarning)
-                if max(image.size) > _MAX_SIDE:
+                if image.size[0] * image.size[1] > MAX_PIXELS:
                     raise FrameError(f"{self.path}: {entry}: {image.size} pixels are too many")
                 image.draft("RGB", self._size)
                 picture = image.convert("RGB")
@@ -129,12 +125,15 @@ class R3dRecording:
     def _entry(self, entry: str, limit: int) -> bytes:
         """Content of ``entry``; the zip's own sizes are checked first, and held to while unpacking."""
         try:
-            if self._zip.getinfo(entry).file_size > limit:
-                raise FrameError(f"{self.path}: {entry}: {self._zip.getinfo(entry).file_size} bytes are too many")
-            with self._zip.open(entry) as stream:
+            member = self._zip.member(entry)
+            if member.file_size > limit:
+                raise FrameError(f"{self.path}: {entry}: {member.file_size} bytes are too many")
+            with self._zip.open(member) as stream:
                 content = stream.read(limit + 1)
         except FrameError:
             raise
+        except FileFormatError as error:
+            raise FrameError(str(error)) from None
         except Exception as error:  # KeyError, BadZipFile, zlib.error, EOFError, RuntimeError (encrypted), ...
             raise FrameError(f"{self.path}: {entry}: not readable ({error})") from None
         if len(content) > limit:
@@ -143,11 +142,10 @@ class R3dRecording:
 
     def _metadata(self) -> dict:
         try:
-            content = json.loads(self._entry("metadata", _MAX_METADATA_BYTES))
+            content = self._entry("metadata", _MAX_METADATA_BYTES)
         except FrameError as error:
             raise FileFormatError(str(error)) from None
-        except (ValueError, RecursionError) as error:
-            raise FileFormatError(f"{self.path}: metadata is not JSON ({error})") from None
+        content = parse_json(content, f"{self.path}: metadata", _MAX_METADATA_VALUES)
         if not isinstance(content, dict):
             raise FileFormatError(f"{self.path}: metadata is not a JSON object")
         return content

@@ -14,16 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
+from ..camera import MAX_PIXELS
 from ..errors import FileFormatError, MissingExtraError
 from ..timing import DEFAULT_RATE, frame_rate, standard_rate
 
-#: Larger pictures are not decoded, pixels.
-MAX_PIXELS = 8192 * 8192
 #: The last frames are decoded to find where a file ends, unless they are more than this and nothing is missing.
 MAX_TAIL = 600
 #: A file that names other files or addresses (a play list under a video's name) is none of ours.
 _FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,asf,mpegts,mpeg,mpegvideo,flv,ogg"
 _ONLY = {"protocol_whitelist": "file", "format_whitelist": _FORMATS}
+#: FFmpeg's own limit: it also holds while the streams are looked at, and where the size changes within a film.
+_LIMITS = {"max_pixels": str(MAX_PIXELS)}
 
 
 @lru_cache(maxsize=1)
@@ -58,12 +59,15 @@ def _opened(path: Path) -> Iterator[tuple]:
     """The container and its picture stream; FFmpeg's errors as :class:`FileFormatError`."""
     av = av_module()
     try:
-        with av.open(str(path), options=_ONLY, metadata_errors="replace") as container:
+        options = {"options": _ONLY, "stream_options": [_LIMITS] * 16, "metadata_errors": "replace"}
+        with av.open(str(path), **options) as container:
             stream = next((s for s in container.streams.video if not _is_cover(s)), None)
             if stream is None:
                 raise FileFormatError(f"{path}: not a video that can be decoded, or one without pictures")
-            if stream.codec_context is None or stream.width * stream.height > MAX_PIXELS:
-                raise FileFormatError(f"{path}: pictures of {stream.width} x {stream.height} pixels are not decoded")
+            if stream.codec_context is None or not 0 < stream.width * stream.height <= MAX_PIXELS:
+                large = f"pictures of more than {MAX_PIXELS} pixels"
+                raise FileFormatError(f"{path}: a stream that cannot be decoded, or {large}, which are not read")
+            stream.codec_context.options = _LIMITS
             stream.thread_type = "AUTO"
             yield container, stream
     except (av.error.FFmpegError, UnicodeError) as error:

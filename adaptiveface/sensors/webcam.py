@@ -19,6 +19,8 @@ import numpy as np
 from ..errors import ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
 from .capture_device import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, as_rgb, camera_of_view, quiet
 from .live import RawFrame
+from .mjpeg import MjpegStream, open_mjpeg
+from .video_probe import MAX_BYTES, MAX_PIXELS, too_large
 
 #: Where Linux lists its cameras, and what it tells about them.
 DEVICES, ABOUT = Path("/dev"), Path("/sys/class/video4linux")
@@ -82,13 +84,16 @@ class WebcamDriver:
     def __init__(self, options: WebcamOptions = WebcamOptions(), size: tuple[int, int] = (640, 480)) -> None:
         self.options, self.size, self.fps = options, size, 30.0
         self.name = f"webcam {_label(options.device)}, colour only"
-        self._capture: cv2.VideoCapture | None = None
+        self._capture: cv2.VideoCapture | MjpegStream | None = None
 
     def open(self) -> None:
         """Start the camera; raises :class:`SensorNotFoundError` or :class:`SensorError` (busy, not allowed)."""
         device = self.options.device
         if isinstance(device, int) and sys.platform == "linux":
             _check_linux(self.name, device)
+        self._count, self._failures = 0, 0
+        if isinstance(device, str) and self._open_mjpeg(device):
+            return
         with quiet():
             self._capture = _open(device)
             if not self._capture.isOpened():
@@ -99,7 +104,18 @@ class WebcamDriver:
                 self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture, where the system allows it
             rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.fps = rate if 1.0 <= rate <= 240.0 else 30.0
-        self._count, self._failures = 0, 0
+
+    def _open_mjpeg(self, address: str) -> bool:
+        """Whether it is a camera of JPEG after JPEG, as most are; anything else OpenCV has to try."""
+        if not address.startswith(("http://", "https://")):
+            return False
+        try:
+            self._capture = open_mjpeg(address, self.name, OPEN_MS / 1000)
+        except OSError as error:
+            raise _refused(self.name, address) from error
+        if self._capture is None and too_large(address):
+            raise SensorError(f"{self.name}: its pictures need more than {MAX_PIXELS} pixels or {MAX_BYTES >> 20} MiB")
+        return self._capture is not None
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next picture. OpenCV's wait cannot be shortened: it lasts as long as the camera takes for one."""
@@ -121,7 +137,9 @@ class WebcamDriver:
     def close(self) -> None:
         """Stop the camera; its light goes out."""
         capture, self._capture = self._capture, None
-        if capture is not None:
+        if isinstance(capture, MjpegStream):
+            capture.close()
+        elif capture is not None:
             with quiet():
                 capture.release()
 

@@ -1,0 +1,158 @@
+"""The stream of a network camera that sends JPEG after JPEG (multipart/x-mixed-replace over HTTP), read with bounds.
+
+A decoder takes the memory that a picture's header asks for: 16,000 x 16,000 pixels are gigabytes. So headers are judged
+before anything is decoded, and nothing longer than a picture can be is waited for.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import urllib.error
+import urllib.request
+from http.client import HTTPException
+from urllib.parse import unquote, urlsplit, urlunsplit
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from ..camera import MAX_PIXELS
+from ..errors import SensorError
+from ..files.bounded import size
+
+#: Most bytes of one picture; a JPEG of 8K at best quality has half of it.
+MAX_PICTURE_BYTES = 16 << 20
+_MAX_LINE, _MAX_LINES, _CHUNK = 4096, 64, 1 << 16
+
+
+class MjpegStream:
+    """An open stream; ``read()`` like OpenCV's captures: (True, (H, W, 3) uint8 BGR), or (False, None) at its end.
+
+    ``name`` is what errors call it. Raises :class:`SensorError` for pictures that no camera sends.
+    """
+
+    def __init__(self, response, boundary: bytes, name: str) -> None:
+        self._response, self._name = response, name
+        self._boundary = b"--" + boundary.removeprefix(b"--")
+        self._kept = b""  # read, and not used yet
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        """The next picture; raises :class:`SensorError`."""
+        try:
+            content = self._part()
+        except (OSError, HTTPException):
+            content = None
+        picture = None if not content else self._decoded(content)
+        return picture is not None, picture
+
+    def close(self) -> None:
+        """Hang up."""
+        self._response.close()
+
+    def _part(self) -> bytes | None:
+        """The content of the next part; None at the end of the stream."""
+        length, begun = None, False
+        for _ in range(_MAX_LINES):
+            line = self._line()
+            if line is None:
+                return None
+            if line.lower().startswith(b"content-length:"):
+                text = line.split(b":", 1)[1].strip()
+                length = int(text) if text.isdigit() and len(text) < 12 else None
+            if begun and not line:
+                break
+            begun = begun or line.startswith(b"--")
+        else:
+            raise SensorError(f"{self._name}: sends no pictures but more than {_MAX_LINES} lines of headers")
+        if length is not None:
+            if length > MAX_PICTURE_BYTES:
+                raise self._too_long(length)
+            return self._take(length)
+        return self._until_boundary()
+
+    def _line(self) -> bytes | None:
+        while b"\n" not in self._kept:
+            if len(self._kept) > _MAX_LINE:
+                raise SensorError(f"{self._name}: sends no pictures, or none that are marked off by '{self._mark()}'")
+            if not self._more():
+                return None
+        line, self._kept = self._kept.split(b"\n", 1)
+        return line.rstrip(b"\r")
+
+    def _take(self, length: int) -> bytes | None:
+        parts, held = [self._kept], len(self._kept)
+        while held < length:
+            chunk = self._response.read1(_CHUNK)
+            if not chunk:
+                return None
+            parts.append(chunk)
+            held += len(chunk)
+        content = b"".join(parts)
+        self._kept = content[length:]
+        return content[:length]
+
+    def _until_boundary(self) -> bytes | None:
+        content = bytearray(self._kept)
+        looked = 0
+        while (end := content.find(self._boundary, looked)) < 0:
+            looked = max(0, len(content) - len(self._boundary))
+            if len(content) > MAX_PICTURE_BYTES:
+                raise self._too_long(len(content))
+            chunk = self._response.read1(_CHUNK)
+            if not chunk:
+                return None
+            content += chunk
+        self._kept = bytes(content[end:])
+        return bytes(content[:end])
+
+    def _more(self) -> bool:
+        chunk = self._response.read1(_CHUNK)
+        self._kept += chunk
+        return bool(chunk)
+
+    def _mark(self) -> str:
+        return self._boundary[:40].decode(errors="replace")
+
+    def _too_long(self, length: int) -> SensorError:
+        return SensorError(f"{self._name}: a picture of {size(length)} or more; at most {size(MAX_PICTURE_BYTES)} are read")
+
+    def _decoded(self, content: bytes) -> np.ndarray | None:
+        try:
+            with Image.open(io.BytesIO(content), formats=("JPEG",)) as image:
+                width, height = image.size
+        except Exception:  # a damaged picture, whatever Pillow makes of it; the next one may be well
+            return None
+        if width * height > MAX_PIXELS:
+            raise SensorError(f"{self._name}: a picture of {width} x {height} pixels; at most {MAX_PIXELS} in all are read")
+        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+
+
+def open_mjpeg(address: str, name: str, timeout: float) -> MjpegStream | None:
+    """The stream at an http(s) address, or None where something else than JPEG after JPEG is there.
+
+    ``timeout`` s for the connection and every read. Raises :class:`SensorError` for an address of single pictures, OSError
+    where nobody answers.
+    """
+    request = urllib.request.Request(_without_login(address))
+    parts = urlsplit(address)
+    if parts.username is not None:
+        login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+        request.add_header("Authorization", "Basic " + base64.b64encode(login.encode()).decode())
+    try:
+        response = urllib.request.urlopen(request, timeout=timeout)
+    except HTTPException as error:
+        raise OSError(str(error)) from None
+    kind = response.headers.get_content_type()
+    boundary = response.headers.get_param("boundary")
+    if kind == "multipart/x-mixed-replace" and boundary:
+        return MjpegStream(response, str(boundary).strip('"').encode(), name)
+    response.close()
+    if "jpeg" in kind:
+        raise SensorError(f"{name}: sends single pictures; give the address of its stream")
+    return None
+
+
+def _without_login(address: str) -> str:
+    parts = urlsplit(address)
+    return urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2]))

@@ -1,0 +1,57 @@
+"""Opens a video in a process of its own whose memory is limited, before this one does.
+
+Video decoders take what a file asks for. There they get at most :data:`MAX_BYTES`. Run as a program, with the address on the
+standard input, the exit status says how it went: 0 for a first picture, 1 for none, 2 for one that is too large or a limit
+that was reached. It stands alone, so that it starts fast.
+"""
+
+import subprocess
+import sys
+
+#: Memory that opening and the first picture may take; a film of 4K takes half of it.
+MAX_BYTES = 256 << 20
+MAX_PIXELS = 1 << 25
+
+
+#: Longest that the first picture may take, s.
+PATIENCE_SECONDS = 20.0
+
+
+def too_large(address: str) -> bool:
+    """Whether the first picture of a file or stream takes more memory than any film for a face does, or never comes.
+
+    Only Linux holds a process to a limit; elsewhere False.
+    """
+    if sys.platform != "linux":
+        return False
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    try:
+        run = subprocess.run([sys.executable, __file__], input=address.encode(), timeout=PATIENCE_SECONDS, **quiet)
+    except subprocess.TimeoutExpired:
+        return True
+    return run.returncode not in (0, 1)
+
+
+def main(address: str) -> int:
+    """Open and read one picture; the exit status."""
+    import resource
+
+    import cv2
+
+    with open("/proc/self/statm") as stream:
+        used = int(stream.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MAX_BYTES, used + MAX_BYTES))
+    try:
+        capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+        if not capture.isOpened():
+            return 1
+        width, height = (capture.get(key) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MAX_PIXELS:
+            return 2
+        return 0 if capture.read()[0] else 1
+    except (MemoryError, cv2.error):
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.stdin.buffer.read().decode()))
