@@ -499,13 +499,19 @@ def main() -> None:
     from PIL import Image  # noqa: F401
 
     import adaptiveface.export.command
+    import adaptiveface.export.gltf
+    import adaptiveface.export.take
     import adaptiveface.importers
     import adaptiveface.live.command
     import adaptiveface.pipeline
+    import adaptiveface.retargeting.character
+    import adaptiveface.retargeting.gltf_character
+    import adaptiveface.retargeting.obj_folder
     import adaptiveface.sensors.record3d
+    import adaptiveface.sensors.webcam
     from adaptiveface.cli import main as command
 
-    adaptiveface.pipeline.FaceModel  # noqa: B018 - it is imported
+    adaptiveface.retargeting.character.load_character("hag")
     Path("/proc/self/clear_refs").write_text("5")  # the peak so far is forgotten
     before, start = peak_kib(), time.perf_counter()
     with contextlib.redirect_stdout(io.StringIO()):

@@ -15,7 +15,7 @@ from .timecode import parse, timecode, to_seconds
 
 HEADER = ("Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES), *ROTATIONS)
 #: Half an hour at 60 frames a second.
-MAX_BYTES, MAX_ROWS = 96 << 20, 150_000
+MAX_BYTES, MAX_ROWS, MAX_LINE = 96 << 20, 150_000, 10_000
 _VALUES = HEADER[2:]
 
 
@@ -83,6 +83,8 @@ def read_take(path: str | os.PathLike) -> LiveLinkTake:
     if text.count("\n") + text.count("\r") > 2 * MAX_ROWS:
         raise FileFormatError(f"{path}: more than {MAX_ROWS} lines")
     lines = text.splitlines()
+    if max(map(len, lines), default=0) > MAX_LINE:
+        raise FileFormatError(f"{path}: a line of more than {MAX_LINE} characters")
     separator = max(",;\t", key=lines[0].count) if lines else ","
     columns = _columns(path, next(csv.reader(lines[:1], delimiter=separator), []))
     times, rows, tracked = [], [], []

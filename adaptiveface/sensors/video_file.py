@@ -12,10 +12,13 @@ from ..errors import FileFormatError, FrameError
 from ..frame import RgbdFrame
 from .capture_device import calibration_for
 from .matroska import is_plain_video
+from .video_probe import MAX_BYTES, too_large
 from .video_stream import pictures, read_index
 
 #: Suffixes taken for plain videos; .mkv unless Azure Kinect's recorder wrote it, whose depth must not be lost silently.
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".webm", ".mkv", ".wmv", ".mpg", ".mpeg", ".mts", ".3gp", ".flv", ".ogv")
+#: Of these FFmpeg knows the streams only after it has looked into them, and takes no limit for that.
+_LATE_STREAMS = (".mpg", ".mpeg", ".mts", ".flv")
 
 
 def is_video(path: str | os.PathLike) -> bool:
@@ -45,6 +48,8 @@ class VideoFile:
         self._found: tuple[int, np.ndarray] | None = None  # the frame decoded last
         if not self.path.is_file():
             raise FileFormatError(f"{self.path}: no such file")
+        if self.path.suffix.lower() in _LATE_STREAMS and too_large(os.fspath(self.path)):
+            raise FileFormatError(f"{self.path}: its first picture needs more than {MAX_BYTES >> 20} MiB, or never comes")
         index = read_index(self.path)
         self.timestamps, self.fps, self._stamps = index.seconds, index.fps, index.stamps
         first = self._decode(0) if len(self.timestamps) else None

@@ -59,8 +59,7 @@ def _opened(path: Path) -> Iterator[tuple]:
     """The container and its picture stream; FFmpeg's errors as :class:`FileFormatError`."""
     av = av_module()
     try:
-        options = {"options": _ONLY, "stream_options": [_LIMITS] * 16, "metadata_errors": "replace"}
-        with av.open(str(path), **options) as container:
+        with av.open(str(path), options=_ONLY | _LIMITS, metadata_errors="replace") as container:
             stream = next((s for s in container.streams.video if not _is_cover(s)), None)
             if stream is None:
                 raise FileFormatError(f"{path}: not a video that can be decoded, or one without pictures")
