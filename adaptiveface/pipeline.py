@@ -6,7 +6,8 @@ counted, they never reach the tracker.
 
 from __future__ import annotations
 
-import math
+import dataclasses
+import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,23 +19,25 @@ from tqdm import tqdm
 from .actor import Actor
 from .blas import one_blas_thread
 from .errors import FrameError, TrackingError
-from .face_model import FaceModel
-from .frame import RgbdFrame
+from .face_model import FaceModel, embedded_face_model
+from .frame import Features2D, RgbdFrame
 from .landmarks import FeatureDetector, Upright
+from .mesh import surface_points
 from .neutral.capture import capture_actor
 from .neutral.colour import capture_colour_actor
+from .neutral.plausible import SizeWatch
+from .neutral.take import NeutralTake, face_found, neutral_of
 from .parameters import Parameters
 from .result import Result, ResultBuilder
 from .rows import discard, unfinished_folder
 from .sensors import FrameSource
+from .sensors.orientation import turned
 from .tracking.colour_tracker import make_tracker
 from .tracking.types import TrackedFrame
 
-#: A face counts as found in a frame from this many valid features on.
-MIN_FEATURES = 6
 #: A neutral scan takes at most this many frames, spread evenly over the source: more take memory and bring little.
 MAX_NEUTRAL_FRAMES = 150
-
+_log = logging.getLogger(__name__)
 OnFrame = Callable[[TrackedFrame, RgbdFrame], None]
 
 
@@ -50,8 +53,8 @@ class FrameReader:
     """Reads the frames of a source with their 2D features, and keeps count of the broken ones.
 
     A context manager. ``detector`` is made on first need when None, and closed at the end. ``skipped``: index -> reason of
-    every frame that could not be used. ``quarters``: by how much frames without features are turned anticlockwise, so that
-    the detector sees them upright.
+    every frame that could not be used; ``reads``: how many were asked for. ``quarters``: by how much frames without
+    features are turned anticlockwise, so that the detector sees them upright.
     """
 
     def __init__(self, source: FrameSource, detector: FeatureDetector | None = None) -> None:
@@ -59,6 +62,7 @@ class FrameReader:
         self._own_detector: FeatureDetector | None = None
         self._upright: Upright | None = None
         self.skipped: dict[int, str] = {}
+        self.reads = 0
 
     def __enter__(self) -> FrameReader:
         return self
@@ -69,6 +73,7 @@ class FrameReader:
 
     def read(self, index: int) -> RgbdFrame | None:
         """Frame ``index`` with features where a face is seen; None (and an entry in ``skipped``) for a broken frame."""
+        self.reads += 1
         try:
             frame = self.source.read(index)
         except FrameError as error:
@@ -83,6 +88,10 @@ class FrameReader:
         if self._upright is None:
             self._upright = Upright(self.detector, self.source.name)
         return self._upright.detect(frame)
+
+    def again(self, index: int, features: Features2D) -> RgbdFrame:
+        """Frame ``index``, which was read before, with the ``features`` that it had."""
+        return dataclasses.replace(turned(self.source.read(index), self.quarters), features=features)
 
     @property
     def quarters(self) -> int:
@@ -101,45 +110,45 @@ class FrameReader:
         return TrackingError(f"{self.source.name}: {message}")
 
 
-def face_found(frame: RgbdFrame) -> bool:
-    """Whether enough 2D features are seen to say that there is a face."""
-    return frame.features is not None and int(frame.features.valid.sum()) >= MIN_FEATURES
-
-
 def capture_from(
     source: FrameSource,
     parameters: Parameters | None = None,
-    neutral_frames: int | None = None,
+    neutral_frames: int | range | None = None,
     detector: FeatureDetector | None = None,
     progress: bool = False,
     model: FaceModel | None = None,
+    on_take: Callable[[NeutralTake], None] | None = None,
 ) -> Actor:
     """Capture the neutral face shown by ``source`` (paper, section 3).
 
-    ``neutral_frames``: the leading frames in which a face is found; None: all frames, at most ``MAX_NEUTRAL_FRAMES`` of
-    them, spread evenly. From a source without depth (``colour_only``) comes the average head with the person's
-    proportions (``neutral/colour.py``). ``model``: the embedded one by default. ``progress`` shows bars on stderr. Raises
-    :class:`TrackingError` when no face is found.
+    ``neutral_frames``: how many of the leading frames in which a face is found, or where these are turned away or moving,
+    of the calmest ones near the beginning (:mod:`~adaptiveface.neutral.choice`), which is said; a range: these very
+    frames; None: all frames, at most ``MAX_NEUTRAL_FRAMES`` of them, spread evenly. From a source without depth
+    (``colour_only``) comes the average head with the person's proportions (``neutral/colour.py``). ``model``: the embedded
+    one by default. ``progress`` shows bars on stderr. ``on_take`` is told which frames were taken. Raises
+    :class:`TrackingError` when no face is found, and its kind
+    :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` for a head that is no person's.
     """
-    frames = []
-    stride = 1 if neutral_frames else max(1, math.ceil(len(source) / MAX_NEUTRAL_FRAMES))
-    reading = {"total": neutral_frames, "desc": "reading the neutral", "unit": "frame", "leave": False}
+    model, parameters = model or embedded_face_model(), parameters or Parameters()
+    count = neutral_frames if isinstance(neutral_frames, int) else None
+    reading = {"total": count, "desc": "reading the neutral", "unit": "frame", "leave": False}
+    points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
     with FrameReader(source, detector) as reader, _bar(progress, **reading) as bar:
-        for index in range(0, len(source), stride):
-            frame = reader.read(index)
-            if frame is not None and (neutral_frames is None or face_found(frame)):
-                frames.append(frame)
-                bar.update()
-            if len(frames) == neutral_frames:
-                break
-    if not frames and len(reader.skipped) == len(range(0, len(source), stride)):
+        take = neutral_of(reader, neutral_frames, points, MAX_NEUTRAL_FRAMES, bar.update)
+    if not take.frames and reader.skipped and len(reader.skipped) == reader.reads:
         raise reader.fail("no frame can be used")
-    if not any(map(face_found, frames)):
-        raise reader.fail(f"no face found in any of {len(source)} frames")
+    if not any(map(face_found, take.frames)):
+        raise reader.fail(f"no face found in any of {reader.reads} frames")
     if getattr(source, "colour_only", False):
-        return capture_colour_actor(frames, model, parameters or Parameters())
-    with one_blas_thread(), _capture_bar(progress) as report:
-        return capture_actor(frames, model, parameters or Parameters(), report)
+        actor = capture_colour_actor(take.frames, model, parameters)
+    else:
+        with one_blas_thread(), _capture_bar(progress) as report:
+            actor = capture_actor(take.frames, model, parameters, report, source)
+    if take.note:
+        _log.warning("%s: %s", source.name, take.note)
+    if on_take is not None:
+        on_take(take)
+    return actor
 
 
 def track_source(
@@ -158,11 +167,12 @@ def track_source(
     done; ``progress`` shows a bar on stderr. Broken frames are skipped and counted (``Result.skipped``, with
     ``Result.reasons``). A source that says ``colour_only`` is tracked by its features alone, degraded. ``folder``: keep
     the frames in files there instead of in memory, see :func:`track_to_file`. Raises :class:`TrackingError` when no
-    frame can be used or the face is never found, :class:`TrackingInterrupted` (with the result so far) on Ctrl-C.
+    frame can be used, the face is never found or is far larger or smaller than the actor's,
+    :class:`TrackingInterrupted` (with the result so far) on Ctrl-C.
     """
     parameters = parameters or Parameters()
     colour_only = getattr(source, "colour_only", False)
-    tracker = make_tracker(actor, parameters, colour_only)
+    tracker, watch = make_tracker(actor, parameters, colour_only), SizeWatch(source, actor)
     builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only, folder)
     try:
         with (
@@ -176,6 +186,7 @@ def track_source(
                 if frame is None:
                     builder.skip(reader.timestamp(index), reader.skipped[index])
                     continue
+                watch.see(frame)
                 tracked = tracker.track(frame)
                 builder.add(tracked)
                 if on_frame is not None:
@@ -185,6 +196,7 @@ def track_source(
         raise TrackingInterrupted(builder.finish(tracker.model.correctives)) from interruption
     if len(reader.skipped) == len(source):
         raise reader.fail("no frame can be used")
+    watch.judge()
     builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
     result = builder.finish(tracker.model.correctives)
     if not result.tracked.any():

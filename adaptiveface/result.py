@@ -16,6 +16,7 @@ from .parameters import Parameters
 from .result_access import ResultAccess
 from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows, row_type
 from .tracking.types import STAGE_NAMES, SampleState, TrackedFrame
+from .tracking.verdict import face_seen, verdict
 
 _FIELDS = {
     "vertices": Field(("F", "N", 3)),
@@ -112,13 +113,17 @@ class Result(ResultAccess):
     def summary(self) -> str:
         """A few lines for people: how many frames were tracked and learned from, and the median time of each stage."""
         lost = int((~self.tracked & ~self.skipped).sum())
+        seen = sum(face_seen(reason) for reason, skip in zip(self.reasons, self.skipped, strict=True) if not skip)
         learned = int((self.sample_state == SampleState.LEARNED).sum())
         lines = [
-            f"{len(self)} frames: {int(self.tracked.sum())} tracked, {lost} without a face, {int(self.skipped.sum())} "
-            f"broken and skipped; learned from {learned}"
+            f"{len(self)} frames: {int(self.tracked.sum())} tracked, {lost - seen} without a face, "
+            + (f"{seen} with a face that was not tracked, " if seen else "")
+            + f"{int(self.skipped.sum())} broken and skipped; learned from {learned}"
         ]
         if self.colour_only:
             lines.insert(0, f"{COLOUR_ONLY} (2D features alone; size and distance assumed, nothing learned)")
+        if doubt := verdict(self.tracked, self.skipped, self.reasons):
+            lines.insert(0, doubt)
         broken = [reason for reason, skipped in zip(self.reasons, self.skipped, strict=True) if skipped]
         lines += [f"  skipped: {reason}" for reason in broken[:5]]
         lines += [f"  ... and {len(broken) - 5} more"] if len(broken) > 5 else []

@@ -80,7 +80,8 @@ def _work(folder: Path, job: Job) -> dict:
 
     parameters = Parameters.from_json(job.parameters)
     source = open_source(job.source)
-    actor = Actor.load(job.actor) if job.actor else capture_from(source, parameters, job.neutral_frames)
+    takes: list = []  # of the neutral, if it is captured here
+    actor = Actor.load(job.actor) if job.actor else capture_from(source, parameters, job.neutral_frames, on_take=takes.append)
     truth = truth_of(source)
     collector = None if truth is None else ErrorCollector(truth, actor, ("v1", "v4"))
     collect = None if collector is None else lambda tracked, _: collector.add(tracked)
@@ -95,7 +96,7 @@ def _work(folder: Path, job: Job) -> dict:
     if job.report:
         from ..report import write_report
 
-        still = 0 if job.actor else job.neutral_frames
+        still = sum(len(take.frames) for take in takes if take.leading)
         write_report(result, source, actor, folder, truth, evaluation=evaluation, correctives=result.correctives,
                      still_frames=still)  # fmt: skip
     return summary(result, evaluation)

@@ -59,6 +59,26 @@ def whole(low: int, high: int) -> Callable[[str], int]:
     return whole_number
 
 
+def neutral_frames(text: str) -> int | range:
+    """The argparse type of ``--neutral-frames``: how many, or which: ``40``, ``100:140`` (without 140)."""
+    first, colon, last = text.partition(":")
+    if not colon:
+        return whole(1, 99_999)(text)
+    numbers = range(whole(0, 999_999)(first or "0"), whole(1, 999_999)(last))
+    if not len(numbers):
+        raise argparse.ArgumentTypeError(f"{text!r} holds no frame; FIRST:LAST is expected, counted from 0")
+    return numbers
+
+
+def add_neutral_frames(command: argparse.ArgumentParser, default: int | None = 40) -> None:
+    """``--neutral-frames N`` or ``FIRST:LAST``."""
+    text = "how many of the leading frames with a face, or which ones (default: %(default)s)"
+    command.add_argument(
+        "--neutral-frames", type=neutral_frames, default=default, metavar="N|FIRST:LAST",
+        help=text if default else text.replace("%(default)s", "all"),
+    )  # fmt: skip
+
+
 def parameters(settings: list[str]):
     """The :class:`~adaptiveface.parameters.Parameters` that ``--set`` asks for; raises :class:`ParameterError`."""
     from ..parameters import Parameters

@@ -10,7 +10,7 @@ from ..export.arguments import add_export_arguments
 from ..files import check_folder, check_output
 from ..interrupt import CtrlC
 from ..retargeting import BUILT_IN
-from .arguments import add_settings, add_source, opened, parameters, source_name, whole
+from .arguments import add_neutral_frames, add_settings, add_source, opened, parameters, source_name, whole
 
 
 def add_demo(commands) -> None:
@@ -77,7 +77,7 @@ def add_capture(commands) -> None:
     capture = commands.add_parser("capture", help="neutral scan -> personal model")
     add_source(capture)
     capture.add_argument("--out", type=Path, required=True, metavar="actor.npz")
-    capture.add_argument("--neutral-frames", type=whole(1, 99_999), metavar="N", help="only the leading N with a face")
+    add_neutral_frames(capture, default=None)
     add_settings(capture)
     capture.set_defaults(run=run_capture)
 
@@ -101,7 +101,7 @@ def add_track(commands) -> None:
     add_source(track)
     track.add_argument("--out", type=Path, required=True, metavar="result.npz")
     track.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
-    track.add_argument("--neutral-frames", type=whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
+    add_neutral_frames(track)
     track.add_argument("--keep-stages", action="store_true", help="also store v1, v2 and v3")
     track.add_argument("--report", type=Path, metavar="DIR", help="write report.html there")
     add_settings(track)
@@ -123,8 +123,15 @@ def run_track(args: argparse.Namespace) -> int:
 
     actor = Actor.load(args.actor) if args.actor else None
     source = opened(source_name(args), args.fov)
+    still_frames = 0
     if actor is None:
-        actor = capture_from(source, chosen, args.neutral_frames, progress=True)
+
+        def on_take(take) -> None:
+            """The report's jitter is measured where the leading frames are still."""
+            nonlocal still_frames
+            still_frames = len(take.frames) if take.leading else 0
+
+        actor = capture_from(source, chosen, args.neutral_frames, progress=True, on_take=on_take)
     try:
         result = track_to_file(source, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
     except TrackingInterrupted as interruption:
@@ -133,7 +140,7 @@ def run_track(args: argparse.Namespace) -> int:
         raise
     print(f"{args.out}: {result.summary()}")
     if args.report:
-        _report(result, source, actor, args.report, still_frames=0 if args.actor else args.neutral_frames)
+        _report(result, source, actor, args.report, still_frames=still_frames)
     return 0
 
 

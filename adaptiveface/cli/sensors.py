@@ -7,7 +7,16 @@ from pathlib import Path
 
 from ..errors import ParameterError
 from ..export.arguments import add_destinations, add_stream_arguments
-from .arguments import add_mirrored, add_settings, add_source, opened, parameters, source_name, whole
+from .arguments import (
+    add_mirrored,
+    add_neutral_frames,
+    add_settings,
+    add_source,
+    opened,
+    parameters,
+    source_name,
+    whole,
+)
 
 
 def add_record(commands) -> None:
@@ -46,7 +55,7 @@ def add_stream(commands) -> None:
     stream = commands.add_parser("stream", help="track and send blendshapes and head motion while tracking")
     add_source(stream)
     add_stream_arguments(stream)
-    stream.add_argument("--neutral-frames", type=whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
+    add_neutral_frames(stream)
     add_settings(stream)
     stream.set_defaults(run=run_stream)
 

@@ -17,10 +17,10 @@ from ..face_model import FaceModel, embedded_face_model
 from ..frame import RgbdFrame
 from ..mesh import surface_points, transform_points, vertex_normals
 from ..neutral.capture import capture_actor
+from ..neutral.face_quality import Expression, expression, eye_distance, head_angles, seen_by_depth, sharpness
 from ..neutral.fuse import Progress
 from ..parameters import Parameters
 from ..tracking.detection import pose_from_features
-from .face_quality import Expression, expression, eye_distance, head_angles, seen_by_depth, sharpness
 
 #: The steps and what they ask for; left and right are the person's own.
 STEPS = {

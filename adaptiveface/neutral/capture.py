@@ -18,6 +18,7 @@ from .appearance import gather_appearance
 from .features import FeatureConstraints, calibrated_features, constraints_on
 from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
+from .plausible import ImplausibleFaceError, check_fit, say_doubtful_size
 from .shrink_wrap import ShrinkWrap, shrink_wrap
 
 DEFAULTS = Parameters()
@@ -39,13 +40,16 @@ def capture_actor(
     model: FaceModel | None = None,
     parameters: Parameters = DEFAULTS,
     progress: Progress | None = None,
+    source=None,
 ) -> Actor:
     """Capture the neutral face of one person and build the personal blendshapes (paper, section 3).
 
     frames: of the neutral face, at least one with 2D features; model: the embedded one by default; progress: called
-    with the step's name and the share done. Raises :class:`TrackingError` when no face is found.
+    with the step's name and the share done; source: of the frames, whose name and unit of depth are named where the head is
+    doubtful. Raises :class:`TrackingError` when no face is found, and its kind
+    :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` for a head that is no person's.
     """
-    return capture_neutral(frames, model, parameters, progress).actor
+    return capture_neutral(frames, model, parameters, progress, source).actor
 
 
 def capture_neutral(
@@ -53,15 +57,21 @@ def capture_neutral(
     model: FaceModel | None = None,
     parameters: Parameters = DEFAULTS,
     progress: Progress | None = None,
+    source=None,
 ) -> NeutralCapture:
     """As :func:`capture_actor`, with every intermediate result."""
     model = embedded_face_model() if model is None else model
     if len(frames) == 0:
         raise TrackingError("no neutral frames were given: at least one RGB-D frame with a face is needed")
     report = progress or (lambda step, share: None)
-    scan = fuse_frames(frames, model, parameters.fusion, report)
-    report("fit", 0.0)
-    fit = fit_identity(scan, model, parameters.fit)
+    try:
+        scan = fuse_frames(frames, model, parameters.fusion, report)
+        report("fit", 0.0)
+        fit = fit_identity(scan, model, parameters.fit)
+        check_fit(fit, model)
+    except ImplausibleFaceError as error:
+        raise error.of(source) from None
+    say_doubtful_size(source, model, fit.vertices)
     report("shrink_wrap", 0.0)
     scan = in_head_frame(scan, np.linalg.inv(fit.scan_from_head))
     wrap = shrink_wrap(scan, model, fit.vertices, parameters.shrink_wrap)

@@ -25,6 +25,7 @@ from ..tracking.rigid import apply_rigid_update
 from .capture import build_actor
 from .features import calibrated_features, constraints_on
 from .fuse import FusedScan
+from .plausible import check_identity
 
 DEFAULTS = Parameters()
 #: Deviation of the rays from the points of features with full confidence (detected: 0.3), mm; Gauss-Newton rounds.
@@ -42,6 +43,7 @@ def capture_colour_actor(
     """
     model = embedded_face_model() if model is None else model
     identity, seen, poses = fit_identity_to_features(frames, model, parameters.fit.modes)
+    check_identity(identity)
     neutral = model.neutral(identity)
     actor = build_actor(model, neutral, identity=identity)
     empty, count = np.zeros((0, 3)), len(seen)

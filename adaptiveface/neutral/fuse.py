@@ -14,6 +14,7 @@ from ..face_model import FaceModel
 from ..frame import Features2D, RgbdFrame
 from ..mesh import surface_points, transform_points
 from ..parameters import FusionParameters
+from .plausible import check_features
 from .registration import DepthView, Registration, align, depth_view, evaluate, feature_pose
 from .volume import TsdfVolume
 
@@ -91,6 +92,7 @@ def fuse_frames(
     """
     report = progress or (lambda step, share: None)
     readable = _readable(frames)
+    check_features(list(readable.values()), model)
     feature_points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
     box = head_box(model, parameters.margin)
     placed = _first_pass(readable, feature_points, box, parameters, report)

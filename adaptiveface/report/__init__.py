@@ -49,7 +49,8 @@ def write_report(
     context = Context(record, source, actor, truth, evaluation, time_spans(record, evaluation))
     name = str(getattr(source, "name", "a performance"))
     body = [
-        sections.heading(name, record.colour_only), scenes.preview(context), sections.tiles(context), sections.losses(context),
+        sections.heading(name, record.colour_only), sections.doubt(context), scenes.preview(context),
+        sections.tiles(context), sections.losses(context),
         scenes.tracked_frames(context), scenes.rig(context), sections.coefficients(context),
         retargeting.section(context, load_character(character), known, still_frames),
         sections.learning(context, _whole_mesh(correctives, actor)), sections.errors(context, note),

@@ -10,6 +10,7 @@ from ..errors import AdaptiveFaceError
 from ..parameters import Parameters
 from ..timing import clean_times
 from ..tracking.types import STAGE_NAMES
+from ..tracking.verdict import verdict
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class RunRecord:
     tracked (F,) bool; timestamps (F,) s; coefficients, coefficients_initial (F, A); corrective_updates (F,);
     sample_state (F,); stage_ms (F, S) with stage_names (S,); anchor_distance, adaptive_distance (F,) mm, NaN where
     unknown; reasons (F,) why a frame is not tracked, "" where it is; parameters of the run;
-    colour_only: tracked without depth.
+    colour_only: tracked without depth; skipped (F,) bool: broken frames, None where there are none.
     """
 
     index: np.ndarray
@@ -39,6 +40,7 @@ class RunRecord:
     reasons: tuple[str, ...]
     parameters: Parameters
     colour_only: bool = False
+    skipped: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.tracked)
@@ -73,7 +75,7 @@ class RunRecord:
             result.stage_ms, tuple(str(name) for name in result.stage_names),
             getattr(result, "anchor_distance", unknown), getattr(result, "adaptive_distance", unknown),
             tuple(map(str, reasons)) if reasons is not None else ("",) * count, parameters,
-            bool(getattr(result, "colour_only", False)),
+            bool(getattr(result, "colour_only", False)), getattr(result, "skipped", None),
         )  # fmt: skip
 
     @classmethod
@@ -92,6 +94,12 @@ class RunRecord:
             column("anchor_distance"), column("adaptive_distance"), tuple(frame.reason for frame in frames),
             parameters or Parameters(),
         )  # fmt: skip
+
+    @property
+    def doubt(self) -> str:
+        """What has to be said first (:func:`~adaptiveface.tracking.verdict.verdict`), or ""."""
+        skipped = [False] * len(self) if self.skipped is None else self.skipped
+        return verdict(self.tracked, skipped, self.reasons)
 
     def initial_vertices(self, index: int, actor) -> np.ndarray:
         """(N, 3) v1 = b0 + B x of one frame in the camera frame, from its initial coefficients (section 4.2)."""

@@ -36,6 +36,12 @@ def heading(name: str, colour_only: bool = False) -> str:
     )
 
 
+def doubt(context: Context) -> str:
+    """What has to be said first: that much of the face was not tracked, and the likely reason."""
+    text = context.record.doubt
+    return f"<p><b>{escape(text[0].upper() + text[1:])}.</b></p>" if text else ""
+
+
 def tiles(context: Context) -> str:
     """The figures one looks for first."""
     record, evaluation = context.record, context.evaluation

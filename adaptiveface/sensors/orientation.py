@@ -91,7 +91,7 @@ class OrientedSource:
         camera = source.camera
         flipped = dataclasses.replace(camera, cx=camera.width - 1 - camera.cx) if mirrored else camera
         self.camera, self.name = turned_camera(flipped, quarters), source.name
-        for name in ("fps", "depth_scale", "timestamps", "has_features", "colour_only", "notes"):
+        for name in ("fps", "depth_scale", "timestamps", "has_features", "colour_only", "notes", "unit_file"):
             if hasattr(source, name):
                 setattr(self, name, getattr(source, name))
 

@@ -57,7 +57,8 @@ class Recording:
         if not self.path.is_dir():
             raise FileFormatError(f"{self.path}: no such folder")
         self.name = self.path.resolve().name
-        self.camera, self.fps, self.depth_scale = read_intrinsics(self.path / "intrinsic.json")
+        self.unit_file = self.path / "intrinsic.json"  #: says how long a unit of depth is
+        self.camera, self.fps, self.depth_scale = read_intrinsics(self.unit_file)
         self._depth = _numbered_files(self.path / "depth", (".png",))
         self._colour = _numbered_files(self.path / "color", (".jpg", ".jpeg", ".png"))
         numbers = self._depth.keys() | self._colour.keys()

@@ -20,6 +20,7 @@ from .expression import HeldPose
 from .feature_rows import reprojection_errors
 from .tracker import FaceTracker, timed
 from .types import STAGE_NAMES, SampleState, TrackedFrame
+from .verdict import NO_FACE
 
 #: The parameters' pixels are those of a depth camera with about this focal length, px; frames are brought to it.
 REFERENCE_FOCAL = 525.0
@@ -42,12 +43,12 @@ class ColourTracker(FaceTracker):
         """Pose and expression of one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
         ms = dict.fromkeys(STAGE_NAMES, 0.0)
         if frame.features is None or frame.features.valid.sum() < MIN_FEATURES:
-            return self._lose(frame, ms, "no face in the picture")
+            return self._lose(frame, ms, NO_FACE)
         frame = at_reference_focal(frame)
         with timed(ms, "rigid"):
             pose, rounds = self._find_pose(frame)
         if pose is None:
-            return self._lose(frame, ms, "the head was not found")
+            return self._lose(frame, ms, "no pose of the head explains the features")
         with timed(ms, "blendshapes"):  # equations (1) and (2) without the depth term
             x = self._x
             held = None if self.pose is None else HeldPose(self.pose, TURN, SHIFT)

@@ -9,6 +9,8 @@ from ..frame import RgbdFrame
 from ..mesh import rigid_alignment, transform_points
 from .feature_rows import reprojection_errors
 
+#: Features with depth from which a face's size is measured, and the distance beyond which a pair of them tells it, mm.
+MIN_LIFTED, FAR_APART = 12, 25.0
 
 def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.ndarray]:
     """Features with depth: (indices into the 40, points (f, 3) camera frame mm); depth is the median around the pixel."""
@@ -54,3 +56,21 @@ def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: 
     pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
     error = reprojection_errors(frame.features, frame.camera, transform_points(pose, feature_points))
     return pose if np.median(error) < 20.0 else None
+
+
+def measured_size(frame: RgbdFrame, feature_points: np.ndarray) -> float:
+    """How many times as large as the head with ``feature_points`` (40, 3) the face in the depth map is; NaN if unknown.
+
+    The median ratio of the distances between features lifted by the depth map and those of the head. No pose is needed, and
+    a wrong unit of depth multiplies it.
+    """
+    if frame.features is None or frame.depth.shape != (frame.camera.height, frame.camera.width):
+        return float("nan")
+    indices, points = lift_features(frame)
+    if len(indices) < MIN_LIFTED:
+        return float("nan")
+    expected, measured = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (feature_points[indices], points))
+    far = np.triu(expected > FAR_APART)
+    if far.sum() < MIN_LIFTED:
+        return float("nan")
+    return float(np.median(measured[far] / expected[far]))

@@ -23,6 +23,7 @@ from .kalman import CoefficientFilter
 from .laplacian import LaplacianDeformation, feature_term
 from .rigid import RigidFit, RigidTracker
 from .types import STAGE_NAMES, SampleState, TrackedFrame
+from .verdict import why_lost
 
 #: Weight, 1/mm^2, by which the mesh is bent to the coarsely refined features before they are refined finely.
 FOLLOW_WEIGHT = 3.0
@@ -89,7 +90,7 @@ class FaceTracker:
         rigid, surface = self._find_head(frame, normals, ms)
         if rigid is None:
             self.forget()
-            return self.untracked(frame, self._reason(frame), ms)
+            return self.untracked(frame, why_lost(frame, self.blendshapes.feature_points(self._x)), ms)
         with timed(ms, "preprocess"):
             frame = self._refine_features(frame, rigid.pose)
             expected = transform_points(rigid.pose, self.blendshapes.feature_points(self._x))
@@ -238,9 +239,6 @@ class FaceTracker:
         moved = vertices.copy()
         moved[self._frontal] += deformation
         return moved
-
-    def _reason(self, frame: RgbdFrame) -> str:
-        return "the head was not found" if frame.depth.any() else "the depth map is empty"
 
     def untracked(self, frame: RgbdFrame, reason: str, ms: dict[str, float] | None = None) -> TrackedFrame:
         """The result of a ``frame`` in which there is no face, or none that can be tracked: the neutral, unmoved."""

@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from ..errors import MissingExtraError
 from ..parameters import Parameters
+from ..tracking.verdict import verdict_of
 
 try:
     import anywidget  # noqa: F401
@@ -39,5 +40,5 @@ __all__ = [
     "BarChart", "CameraView", "FaceView", "GridChart", "LiveChart", "LiveView", "Measures", "ParameterPanel",
     "Parameters", "Player", "Replay", "SeriesCache",
     "Session", "Workbench", "colour_bar", "depth_distance", "error_chart", "fast", "figure_11", "load_session",
-    "Turntable", "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict",
+    "Turntable", "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict", "verdict_of",
 ]  # fmt: skip

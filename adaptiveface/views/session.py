@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -24,6 +25,9 @@ from ..errors import AdaptiveFaceError, FileFormatError
 from ..evaluation import GroundTruth, TruthFrame
 from ..files import replacing
 from ..frame import Features2D, RgbdFrame
+from ..mesh import surface_points
+from ..neutral.choice import LOOK, choose, judge
+from ..neutral.take import face_found
 from ..npz import Field, load_checked
 from ..parameters import Parameters
 from ..pipeline import FrameReader, capture_from, one_blas_thread
@@ -35,6 +39,7 @@ T = TypeVar("T")
 FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
 #: Changes when the synthetic sensor or this file's layout does, so that an old cache is not used.
 CACHE_VERSION = 2
+_log = logging.getLogger(__name__)
 
 _FIELDS = {
     "depth": Field(("F", "H", "W"), "u"), "colour": Field(("F", "H", "W", 3), "u"), "pixels": Field(("F", 40, 2)),
@@ -79,7 +84,7 @@ class Session:
         if self._actor is None:
             self._actor = None if self._actor_file is None else _cached(self._actor_file, Actor.load)
         if self._actor is None:
-            self._actor = capture_from(self, Parameters(), neutral_frames=len(self.neutral))
+            self._actor = capture_from(self, Parameters(), neutral_frames=range(len(self.neutral)))
             if self._actor_file is not None:
                 with _not_cached():
                     self._actor.save(self._actor_file)
@@ -88,7 +93,7 @@ class Session:
 
 def load_session(
     source: str = "synthetic",
-    neutral_frames: int = 16,
+    neutral_frames: int | range = 16,
     frames: int | None = None,
     first: int = 0,
     cache: str | os.PathLike | None = None,
@@ -96,8 +101,9 @@ def load_session(
     """The performance that the notebooks work on.
 
     ``source``: "synthetic", "synthetic:SEED[:NOISE]" or a recording folder. ``neutral_frames`` with the face at rest
-    come first and make the rig; then ``frames`` of performance (default 100, or 24 where :func:`fast`), from frame
-    ``first`` of the recording on. ``cache``: folder for synthetic performances (default: the user's cache folder).
+    come first and make the rig (of a recording, calmer ones where the first are not calm; a range names them); then
+    ``frames`` of performance (default 100, or 24 where :func:`fast`), from frame ``first`` of the recording on. ``cache``:
+    folder for synthetic performances (default: the user's cache folder).
     Raises :class:`AdaptiveFaceError` (or one of its kinds) for a source that cannot be used.
     """
     count = frames or (24 if fast() else 100)
@@ -106,21 +112,39 @@ def load_session(
     return _recorded(source, neutral_frames, count, first)
 
 
-def _recorded(source: str, neutral_frames: int, count: int, first: int) -> Session:
+def _recorded(source: str, neutral_frames: int | range, count: int, first: int) -> Session:
     opened = open_source(source)
-    found = []
+    named = neutral_frames if isinstance(neutral_frames, range) else range(0)
+    leading = 0 if named else neutral_frames
+    neutral, found = [], []
     with FrameReader(opened) as reader:
-        for index in range(first, len(opened)):
+        for index in range(min([first, *named]), len(opened)):
             frame = reader.read(index)
-            if frame is not None:
+            if frame is not None and index in named:
+                neutral.append(frame)
+            elif frame is not None and index >= first:
                 found.append(frame)
-            if len(found) == neutral_frames + count:
+            if len(found) >= leading + count and index >= named.stop:
                 break
-    if len(found) <= neutral_frames:
-        raise AdaptiveFaceError(
-            f"{source}: {len(found)} usable frames; more than the {neutral_frames} neutral ones are needed"
-        )
-    return Session(opened.name, opened.camera, found[:neutral_frames], found[neutral_frames:])
+    if len(found) <= leading or not (leading or neutral):
+        needed = f"more than the {leading} neutral ones are needed" if leading else f"none is among {named}"
+        raise AdaptiveFaceError(f"{source}: {len(found)} usable frames; {needed}")
+    if leading:
+        neutral = _calm(opened.name, found, leading)
+    return Session(opened.name, found[0].camera, neutral, found[leading : leading + count])
+
+
+def _calm(name: str, found: list[RgbdFrame], count: int) -> list[RgbdFrame]:
+    """The neutral frames: the first ones, or calmer ones where these are turned away or moving, which is said."""
+    model = face_model.embedded_face_model()
+    points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    faces = [frame for frame in found if face_found(frame)][:LOOK]
+    choice = choose([judge(frame, points) for frame in faces], count)
+    picked = [faces[k] for k in choice.picked]
+    if choice.picked != list(range(len(picked))):
+        instead = f"{len(picked)} of the frames {picked[0].index} to {picked[-1].index} are the neutral instead"
+        _log.warning("%s: %s; %s; load_session(..., neutral_frames=range(100, 140)) names others", name, choice.note, instead)
+    return picked or found[:count]
 
 
 def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None) -> Session:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import time
 from collections.abc import Callable, Sequence
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from ..parameters import Parameters
 from ..tracking.tracker import FaceTracker
+from ..tracking.verdict import verdict_of
 from .charts import LiveChart
 from .face_view import FaceView
 from .kernel import on_main_thread
@@ -50,6 +52,7 @@ class Workbench:
         self.view = FaceView.of(session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.15 * side)))
         self.camera = CameraView((260, 300)) if camera else None
         self.player = Player(len(session.frames), self.show)
+        self.verdict = widgets.HTML()  #: what has to be said first
         self.message, self._live, self._charts_due = widgets.HTML(), False, 0.0
         self.player.button.observe(on_main_thread(lambda _: self._update_charts()), "value")
         restart = widgets.Button(
@@ -73,7 +76,7 @@ class Workbench:
             widgets.VBox([chart.widget for chart, _ in self.charts]),
         ]
         self.widget = widgets.VBox(
-            [widgets.HBox(views, layout=row), widgets.HBox([self.player.widget, restart], layout=row),
+            [self.verdict, widgets.HBox(views, layout=row), widgets.HBox([self.player.widget, restart], layout=row),
              widgets.HBox(below, layout=row)]  # fmt: skip
         )
         self.widget.add_class("adaptiveface-workbench")
@@ -156,6 +159,9 @@ class Workbench:
             self.show(self.player.index)
 
     def _update_charts(self) -> None:
+        if self.replay.done == len(self.session.frames):
+            self.verdict.value = html.escape(verdict_of(self.replay.results))
+            self.verdict.layout.display = None if self.verdict.value else "none"
         for chart, source in self.charts:
             chart.update(self.player.index, **source(self.replay))
 

@@ -1,0 +1,127 @@
+"""Which frames show the neutral face: seen from the front, with a closed mouth, and looking as most others do.
+
+People start a recording while they still turn to the camera or talk. Frames are judged by their features alone, against the
+model's neutral face seen under the same pose (:mod:`~adaptiveface.neutral.face_quality`); what differs from person to person
+(how wide a mouth is, how open eyes are) against the median of the same take.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..frame import RgbdFrame
+from ..mesh import transform_points
+from ..tracking.detection import pose_from_features
+from .face_quality import expression
+
+#: Degrees between the face's direction and the camera: seen from the front, and from too far aside.
+FRONTAL, ASIDE = 25.0, 45.0
+#: Mean confidence of the features, as a share of the most confident one, below which a face is hardly seen.
+SEEN = 0.25
+#: Opening of the mouth that is none of a neutral face; largest deviations of width, eyes and brows from the take's median. In
+#: the tolerances of face_quality. Measured at rest: openings up to 0.45 (a beard); talking and laughing: from 0.8.
+OPEN, UNLIKE = 0.6, np.array([0.8, 0.6, 0.5])
+#: Share of calm frames from which on they are taken as they come.
+ENOUGH = 0.8
+#: Frames with a face among which the neutral is sought where the leading ones do not show it.
+LOOK = 150
+#: What is wrong with a frame, in the words of a note.
+WORDS = ("turned away", "hardly seen", "with an open mouth", "moving")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One frame: ``angle`` degrees from the front; ``seen`` 0..1; ``mouth``: opening, in its tolerance; ``rest``: (width,
+    eyes, brows), likewise."""
+
+    angle: float
+    seen: float
+    mouth: float
+    rest: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """``picked``: positions of the chosen frames; ``note``: what is doubtful about them, or why it is not the first ones."""
+
+    picked: list[int]
+    note: str = ""
+
+
+def judge(frame: RgbdFrame, points: np.ndarray) -> Judged | None:
+    """Judge a frame by its features, which the model has at ``points`` (40, 3); None where no pose explains them."""
+    pose = pose_from_features(frame, points)
+    if pose is None:
+        return None
+    face = expression(frame.features, frame.camera.project(transform_points(pose, points)))
+    towards = -(pose[:3, 2] @ pose[:3, 3]) / max(np.linalg.norm(pose[:3, 3]), 1e-9)
+    confidence = frame.features.confidence
+    seen = float(confidence.mean() / max(confidence.max(), 1e-9)) if confidence.max() > 0.05 else 0.0
+    angle = float(np.degrees(np.arccos(np.clip(towards, -1, 1))))
+    return Judged(angle, seen, face.mouth_open, (face.mouth_width, face.eyes, face.brows))
+
+
+def costs(judged: Sequence[Judged | None]) -> np.ndarray:
+    """(F, 4) what speaks against each frame, in the order of ``WORDS``: calm below 1."""
+    out = np.full((len(judged), len(WORDS)), 9.0)
+    known = [k for k, face in enumerate(judged) if face is not None]
+    if not known:
+        return out
+    angle, seen, mouth = (np.array([getattr(judged[k], name) for k in known]) for name in ("angle", "seen", "mouth"))
+    rest = np.array([judged[k].rest for k in known])
+    quiet = (angle < ASIDE) & (mouth < OPEN)
+    usual = np.median(rest[quiet] if quiet.sum() >= 3 else rest, axis=0)
+    unlike = (np.abs(rest - usual) / UNLIKE).max(axis=1)
+    out[known] = np.stack([angle / ASIDE, SEEN / np.maximum(seen, 1e-3), mouth / OPEN, unlike], axis=1)
+    return out
+
+
+def choose(judged: Sequence[Judged | None], count: int) -> Choice:
+    """The ``count`` frames to take of all that were judged, in order: the leading ones where they are calm.
+
+    Otherwise the stretch of ``count`` calm frames that is calmest; where there are fewer, those; where there are hardly
+    any, the leading ones, with a note.
+    """
+    cost = costs(judged)
+    lead = list(range(min(count, len(judged))))
+    if leading_is_calm(cost[lead], judged[: len(lead)]):
+        return Choice(lead)
+    trouble = _trouble(cost[lead])
+    calm = np.flatnonzero(cost.max(axis=1) < 1)
+    frontal = [k for k in calm if judged[k].angle < FRONTAL]
+    if len(calm) < max(3, count // 8) or not frontal:
+        return Choice(lead, f"the neutral frames are doubtful: of {len(lead)}, {trouble}")
+    size = min(count, len(calm))
+    means = np.convolve(cost[calm].max(axis=1), np.ones(size) / size, mode="valid")
+    start = int(np.argmin(means))
+    picked = [int(k) for k in calm[start : start + size]]
+    return Choice(picked, f"of the first {len(lead)} frames with a face, {trouble}")
+
+
+def leading_is_calm(cost: np.ndarray, judged: Sequence[Judged | None]) -> bool:
+    """Whether enough of the frames are calm, and some of them seen from the front."""
+    calm = cost.max(axis=1) < 1
+    frontal = sum(ok and face.angle < FRONTAL for ok, face in zip(calm, judged, strict=True))
+    return bool(calm.mean() >= ENOUGH and frontal >= min(3, max(1, len(judged) // 8)))
+
+
+def doubts(judged: Sequence[Judged | None], turned: bool = True) -> str:
+    """What speaks against these frames as a neutral, or ""; ``turned``: also that the face is seen from aside."""
+    cost = costs(judged)
+    if not turned:
+        cost[:, :2] = 0.0
+        aside = np.array([face is None or face.angle >= ASIDE for face in judged])
+        cost[aside, 2:] = 0.0  # there the detector guesses
+    calm = cost.max(axis=1, initial=0.0) < 1
+    return "" if not len(judged) or calm.mean() >= ENOUGH else _trouble(cost)
+
+
+def _trouble(cost: np.ndarray) -> str:
+    """Such as "the face is turned away in 28, moving in 3": every frame by the worst that speaks against it."""
+    worst = Counter(int(k) for k, value in zip(cost.argmax(axis=1), cost.max(axis=1), strict=True) if value >= 1)
+    counts = ", ".join(f"{WORDS[k]} in {count}" for k, count in worst.most_common())
+    return f"the face is {counts}" if counts else "none is seen from the front"

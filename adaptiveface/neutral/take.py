@@ -1,0 +1,100 @@
+"""The frames of a recording from which the neutral is taken: read, judged and chosen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..frame import RgbdFrame
+from .choice import LOOK, choose, costs, doubts, judge, leading_is_calm
+
+#: A face counts as found in a frame from this many valid features on.
+MIN_FEATURES = 6
+#: How to name the frames.
+WAY_OUT = "--neutral-frames 100:140 takes these frames"
+Step = Callable[[], object]
+
+
+def face_found(frame: RgbdFrame) -> bool:
+    """Whether enough 2D features are seen to say that there is a face."""
+    return frame.features is not None and int(frame.features.valid.sum()) >= MIN_FEATURES
+
+
+@dataclass(frozen=True)
+class NeutralTake:
+    """``frames`` of the neutral face; ``note``: what is doubtful about them, or ""; ``leading``: they are the first ones."""
+
+    frames: list[RgbdFrame]
+    note: str = ""
+    leading: bool = False
+
+
+def neutral_of(reader, wanted: int | range | None, points: np.ndarray, most: int, step: Step = lambda: None) -> NeutralTake:
+    """The neutral frames that ``reader`` (a :class:`~adaptiveface.pipeline.FrameReader`) finds in its source.
+
+    ``wanted``: how many of the leading ones with a face, these very ones (a range), or None for all, at most ``most``
+    of them, spread evenly; ``points`` (40, 3): the model's features; ``step`` is called at every frame.
+    """
+    length = len(reader.source)
+    if wanted is None:
+        return _all_or_calm(_read(reader, range(0, length, max(1, math.ceil(length / most))), step), points)
+    if not isinstance(wanted, range):
+        return _leading(reader, int(wanted), points, step)
+    named = _read(reader, [number for number in wanted if 0 <= number < length], step)
+    faces = [frame for frame in named if face_found(frame)]
+    trouble = doubts([judge(frame, points) for frame in faces])
+    return NeutralTake(faces, f"the neutral frames are doubtful: of {len(faces)}, {trouble}" if trouble else "")
+
+
+def _read(reader, numbers: Sequence[int], step: Step) -> list[RgbdFrame]:
+    frames = []
+    for index in numbers:
+        frame = reader.read(index)
+        if frame is not None:
+            frames.append(frame)
+            step()
+    return frames
+
+
+def _leading(reader, count: int, points: np.ndarray, step: Step) -> NeutralTake:
+    """``count`` frames: the first ones with a face, or calmer ones among the first ``LOOK``. Only the former are kept."""
+    kept, found, judged = [], [], []
+    for index in range(len(reader.source)):
+        if len(found) >= max(count, LOOK) or (len(found) >= count and index > found[count - 1][0] + 2 * LOOK):
+            break
+        frame = reader.read(index)
+        if frame is None or not face_found(frame):
+            continue
+        found.append((index, frame.features))
+        judged.append(judge(frame, points))
+        if len(found) <= count:
+            kept.append(frame)
+            step()
+        if len(found) == count and leading_is_calm(costs(judged), judged):
+            return NeutralTake(kept, leading=True)
+    choice = choose(judged, count)
+    numbers = [found[k][0] for k in choice.picked]
+    leading = choice.picked == list(range(len(kept)))
+    note = f"{choice.note}; {WAY_OUT}" if choice.note else ""
+    if note and not leading:
+        note = f"{choice.note}; {len(numbers)} of the frames {numbers[0]} to {numbers[-1]} are the neutral instead; {WAY_OUT}"
+    frames = [kept[k] if k < len(kept) else reader.again(*found[k]) for k in choice.picked]
+    return NeutralTake(frames, note, leading)
+
+
+def _all_or_calm(frames: list[RgbdFrame], points: np.ndarray) -> NeutralTake:
+    """The frames of a whole recording; those that talk or laugh are left out where they are many."""
+    faces = [frame for frame in frames if face_found(frame)]
+    judged = [judge(frame, points) for frame in faces]
+    trouble = doubts(judged, turned=False)
+    if not trouble:
+        return NeutralTake(frames)
+    moving = np.array([cost[2:].max() >= 1 for cost in costs(judged)])
+    if (~moving).sum() < max(3, len(faces) // 8):
+        return NeutralTake(frames, f"the neutral frames are doubtful: of {len(faces)}, {trouble}; {WAY_OUT}")
+    out = {id(frame) for frame, moves in zip(faces, moving, strict=True) if moves}
+    calm = [frame for frame in frames if id(frame) not in out]
+    return NeutralTake(calm, f"of {len(faces)} frames with a face, {trouble}; these are left out of the neutral")

@@ -1,0 +1,77 @@
+"""How a run went, where it did not go well: what everybody who shows a result says first."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from ..frame import RgbdFrame
+from .detection import MIN_LIFTED, lift_features, measured_size
+from .types import TrackedFrame
+
+#: Share of the frames with a face that a good run tracks.
+EXPECTED = 0.8
+#: Confidence of detected features, at most 0.3, below which the face is seen from far aside, on average over the features.
+ASIDE = 0.05
+#: Why a frame is not tracked where nobody knows of a face (the third: in results of earlier versions).
+NO_FACE, NO_DEPTH, UNKNOWN = "no face in the picture", "the depth map is empty", "the head was not found"
+#: Why the head was not found although there is a face.
+TURNED, BARE, WRONG_SIZE, MISFIT = (
+    "the face is turned far away",
+    "there is no depth at the face",
+    "the face in the depth map has another size than the head",
+    "the head does not fit the depth at the face",
+)
+#: The likely cause of each, and the way out.
+LIKELY = {
+    TURNED: "perhaps the neutral was not seen from the front: --neutral-frames 100:140 takes these frames",
+    BARE: "perhaps colour and depth are not aligned, or the face is out of the sensor's range",
+    WRONG_SIZE: "perhaps the unit of depth (depth_scale) is not that of the neutral, or it is another person's",
+    MISFIT: "perhaps the neutral was not a calm face seen from the front (--neutral-frames 100:140 takes these frames), or it "
+    "is another person's",
+}
+
+
+def why_lost(frame: RgbdFrame, feature_points: np.ndarray) -> str:
+    """Why the head with ``feature_points`` (40, 3) was not found in a ``frame``."""
+    features = frame.features
+    if not frame.depth.any():
+        return NO_DEPTH
+    if features is None or features.valid.sum() < 6:
+        return NO_FACE
+    if features.confidence.mean() < ASIDE:
+        return TURNED
+    if len(lift_features(frame)[0]) < MIN_LIFTED:
+        return BARE
+    size = measured_size(frame, feature_points)
+    if not 0.8 < size < 1.25:
+        return WRONG_SIZE
+    return MISFIT
+
+
+def face_seen(reason: str) -> bool:
+    """Whether a frame that is not tracked for this ``reason`` is known to show a face."""
+    return reason not in ("", NO_FACE, NO_DEPTH, UNKNOWN)
+
+
+def verdict(tracked: Sequence[bool], skipped: Sequence[bool], reasons: Sequence[str]) -> str:
+    """One line where fewer than ``EXPECTED`` of the frames with a face are tracked, with the likely reason; else ""."""
+    lost = Counter(
+        reason
+        for reason, kept, broken in zip(reasons, tracked, skipped, strict=True)
+        if not kept and not broken and face_seen(reason)
+    )
+    found, missed = int(np.sum(tracked)), sum(lost.values())
+    if found >= EXPECTED * (found + missed):
+        return ""
+    (reason, count), *_ = lost.most_common(1)
+    share = f"only {found} of the {found + missed} frames with a face are tracked ({found / (found + missed):.0%})"
+    return "; ".join(filter(None, (f"{share}: in {count}, {reason}", LIKELY.get(reason))))
+
+
+def verdict_of(frames: Iterable[TrackedFrame]) -> str:
+    """:func:`verdict` on the frames of a tracker."""
+    frames = list(frames)
+    return verdict([f.tracked for f in frames], [False] * len(frames), [f.reason for f in frames])
