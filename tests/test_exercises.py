@@ -407,7 +407,7 @@ def variable_of(exercise) -> str:
 @pytest.mark.parametrize("notebook", sorted({e.notebook for e in exercises.EXERCISES}))
 def test_notebooks_end_with_their_exercises_and_empty_stubs(notebook):
     asked = [exercise for exercise in exercises.EXERCISES if exercise.notebook == notebook]
-    cells = cells_of(SOLUTIONS.parent / f"{notebook}.ipynb")[-3 * len(asked) :]
+    cells = cells_of(SOLUTIONS.parent / f"{notebook}.ipynb")[-3 * len(asked) - 1 : -1]
     for k, exercise in enumerate(asked):
         text, stub, check = cells[3 * k : 3 * k + 3]
         linked = "".join(text["source"]).replace("\n", " ").split("(solutions/")[1].split(")")[0]

@@ -137,3 +137,18 @@ def test_interrupting_a_cell_keeps_the_kernel_and_the_player(tmp_path):
     finally:
         client.stop_channels()
         manager.shutdown_kernel(now=True)
+
+
+CHAPTERS = [path for path in NOTEBOOKS if path.name[:2].isdigit()]
+
+
+@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+def test_a_chapter_says_what_it_is_about_and_ends_with_questions_that_unfold(path):
+    cells = nbformat.read(path, 4).cells
+    about, questions = cells[1].source, cells[-1].source
+    for word in ("you will learn", "you need", "it takes", "in the paper"):
+        assert f"| {word} | " in about
+    assert questions.count("<details><summary>") == questions.count("</details>") == 5
+    assert "## Further reading" in questions
+    following = questions.rsplit("](", 1)[1].rstrip(")")
+    assert (FOLDER / following).is_file()
