@@ -23,7 +23,7 @@ VALIDATOR = "gltf-validator@2.0.0-dev.3.10"
 THREE = "three@0.170.0"
 THREE_VRM = "@pixiv/three-vrm@3.5.5"
 MODEL_VIEWER = "@google/model-viewer@4.1.0"
-BABYLON = ("babylonjs@8.30.0", "babylonjs-loaders@8.30.0")
+BABYLON = ("babylonjs@9.28.0", "babylonjs-loaders@9.28.0")
 
 
 def absent(what: str) -> None:
@@ -127,8 +127,9 @@ def _answer(browser: str, address: str, seconds: int) -> str:
 
 
 def picture(url: str, path: Path | None = None) -> np.ndarray:
-    """(H, W, 3) uint8 of a PNG data URL, saved at ``path`` for people to look at."""
-    image = Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))).convert("RGB")
+    """(H, W, 3) uint8 of a PNG data URL, on white, saved at ``path`` for people to look at."""
+    shown = Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))).convert("RGBA")
+    image = Image.alpha_composite(Image.new("RGBA", shown.size, "white"), shown).convert("RGB")
     if path is not None:
         image.save(path)
     return np.asarray(image)

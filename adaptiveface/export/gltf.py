@@ -80,8 +80,9 @@ class _Builder:
 def write_glb(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
     """Write an animated mesh as ``.glb``, whole or not at all.
 
-    Node "performance" carries node "head", which is animated by the head's pose; "performance" is placed so that the
-    median position of the head is the origin. Target names are in ``mesh.extras.targetNames``.
+    Node "performance" carries node "head", which is animated by the head's pose and rests in that of the first frame, so
+    that viewers frame the face; "performance" is placed so that the median position of the head is the origin. Target
+    names are in ``mesh.extras.targetNames``.
     """
     builder = _Builder()
     document = {
@@ -90,7 +91,8 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
         "scenes": [{"nodes": [0]}],
         "nodes": [
             {"name": "performance", "children": [1], "translation": _metres(-mesh.centre)},
-            {"name": "head", "mesh": 0},
+            {"name": "head", "mesh": 0, "translation": _metres(mesh.rigid[0, :3, 3]),
+             "rotation": quaternions(mesh.rigid[:1, :3, :3])[0].tolist()},  # at rest it is where the first frame is
         ],
         "meshes": [_mesh(builder, mesh)],
         "materials": [{"name": "skin", "doubleSided": True,
