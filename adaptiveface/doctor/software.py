@@ -20,13 +20,14 @@ NEEDED = {
 }  # fmt: skip
 #: extra -> (modules that it brings, what for).
 EXTRAS = {
-    "landmarks": (("mediapipe",), "finds the 2D features in colour pictures"),
+    "landmarks": (("mediapipe", "av"), "2D features in colour pictures, videos"),
     "video": (("imageio_ffmpeg",), "H.264 films"),
     "usd": (("pxr",), "USD files"),
     "osc": (("pythonosc",), "streams to VTuber programs"),
     "notebooks": (("jupyterlab", "ipywidgets", "anywidget", "pyvista", "vtk"), "the notebooks"),
     "avatars": (("DracoPy", "meshopt"), "compressed characters"),
     "importers": (("h5py",), "other face models"),
+    "pandas": (("pandas",), "results as tables"),
     "batch": (("pyarrow",), "tables as Parquet"),
     "cluster": (("distributed",), "sweeps on Dask"),
     "bench": (("open3d", "sklearn", "igl", "psutil"), "the peers of the timing tables"),
