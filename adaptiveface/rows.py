@@ -8,6 +8,8 @@ The file lies in a folder beside the result that will be: ``result.unfinished`` 
 from __future__ import annotations
 
 import errno
+import itertools
+import logging
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -17,6 +19,7 @@ import numpy as np
 from .errors import AdaptiveFaceError, FileFormatError
 from .npz import write_npz
 
+_log = logging.getLogger(__name__)
 HEAD, ROWS = "head.npz", "rows.bin"
 #: Characters kept of the reason why a frame is not tracked.
 REASON = 200
@@ -46,6 +49,16 @@ def discard(folder: Path) -> None:
         folder.rmdir()
 
 
+def _keep_earlier(folder: Path) -> None:
+    if not (folder / ROWS).is_file() or not (folder / ROWS).stat().st_size:
+        discard(folder)
+        return
+    numbered = (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(1))
+    kept = next(path for path in numbered if not path.exists())
+    folder.rename(kept)
+    _log.warning("%s: frames of an earlier run that did not end, kept as %s", folder, kept.name)
+
+
 class MemoryRows:
     """Rows in memory; they grow by half of what there is."""
 
@@ -72,11 +85,14 @@ class MemoryRows:
 
 
 class FileRows:
-    """Rows in ``folder``, which is made; rows of an earlier run there are replaced. ``head``: what all frames share."""
+    """Rows in ``folder``, which is made. ``head``: what all frames share.
+
+    Rows of an earlier run that did not end are kept: its folder gets a number.
+    """
 
     def __init__(self, dtype: np.dtype, folder: Path, head: dict[str, np.ndarray]) -> None:
         self._dtype, self._path, self._done = dtype, folder / ROWS, 0
-        discard(folder)
+        _keep_earlier(folder)
         folder.mkdir(exist_ok=True)
         write_npz(folder / HEAD, head)
         self._stream = open(self._path, "xb", buffering=0)

@@ -165,6 +165,20 @@ def test_a_killed_track_leaves_its_frames_and_an_old_result(tmp_path, capsys):
     assert "5 frames" in capsys.readouterr().out
     assert main([str(word) for word in words]) == 0  # again, to its end
     assert len(Result.load(out)) == 8 and not left.exists()
+    kept = tmp_path / "r.unfinished-1"
+    assert len(Result.load(kept)) == 5 and f"kept as {kept.name}" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+def test_a_killed_live_run_leaves_its_frames(tmp_path):
+    talking_head(tmp_path / "take").save(tmp_path / "actor.npz")
+    out = tmp_path / "r.npz"
+    words = ["live", tmp_path / "take", "--headless", "--actor", tmp_path / "actor.npz", "--out", out]
+    run = subprocess.run([sys.executable, "-c", KILLED, *map(str, words)], capture_output=True)
+    assert run.returncode == -signal.SIGKILL and not out.exists()
+    assert len(Result.load(unfinished_folder(out))) == 5
+    assert main([str(word) for word in words]) == 0
+    assert len(Result.load(out)) == 8 and not unfinished_folder(out).exists()
 
 
 def test_nothing_is_left_where_no_frame_can_be_used(tmp_path, monkeypatch):

@@ -16,6 +16,7 @@ from ..interrupt import CtrlC, Terminated
 from ..livelink.receiver import is_livelink
 from ..parameters import Parameters
 from ..result import ResultBuilder
+from ..rows import discard, unfinished_folder
 from ..sensors.catalogue import list_sensors, open_sensor
 from ..sensors.live import LiveSensor
 from ..sensors.orientation import MIRRORED, split_mirrored
@@ -168,7 +169,8 @@ class _Headless:
             run.actor.save(self.args.save_actor)
             print(f"{self.args.save_actor}: {len(run.actor.neutral)} vertices")
         if self.args.out is not None:
-            builder = ResultBuilder(run.actor, self.parameters, FIRST_RESULTS, colour_only=run.colour_only)
+            builder = ResultBuilder(run.actor, self.parameters, FIRST_RESULTS, colour_only=run.colour_only,
+                                    folder=unfinished_folder(self.args.out))  # fmt: skip
             run.on_result(lambda result: builder.add(result.tracked))
             self._builder = builder
         self._stream(run)
@@ -193,10 +195,17 @@ class _Headless:
             raise TrackingError(f"{name}: the face was never found")
 
     def _save(self, session: LiveSession) -> None:
-        if self._builder is not None and self._builder.done:
+        if self._builder is None:
+            return
+        summary = ""
+        if self._builder.done:
             result = self._builder.finish(session.model.correctives)
             result.save(self.args.out)
-            print(f"{self.args.out}: {result.summary()}")
+            summary = result.summary()
+            del result  # it holds the files that are discarded
+        discard(unfinished_folder(self.args.out))
+        if summary:
+            print(f"{self.args.out}: {summary}")
 
     def _follow(self, session: LiveSession, ctrl_c: CtrlC) -> None:
         start, last = time.monotonic(), -1
