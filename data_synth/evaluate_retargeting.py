@@ -8,6 +8,7 @@
    another head. A is tracked, B's true frames are known: how far from them is B driven by A's coefficients alone, and
    with the transfer of v4 - v1?
 3. Smoothing: jitter on a still face, and lag on a step.
+4. ARKit's curves of the performer's own performance: by the 23 expressions, and by ARKit's shapes with their halves.
 
 Seeds 0 to 99 are for development; report on seeds from 1000 on.
 """
@@ -21,9 +22,12 @@ import numpy as np
 from adaptiveface.blendshapes import deformation_transfer
 from adaptiveface.evaluation.coefficients import compare_coefficients, known_performance
 from adaptiveface.face_model import embedded_face_model
+from adaptiveface.livelink import ARKIT_NAMES
 from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.retargeting.arkit import arkit_weights
+from adaptiveface.retargeting.arkit_resolve import unit_names
 from adaptiveface.retargeting.correctives import transferred_correctives
-from adaptiveface.retargeting.retarget import driving_coefficients, head_frames
+from adaptiveface.retargeting.retarget import driving_coefficients, head_frames, retarget
 from adaptiveface.retargeting.smoothing import SmoothingCost, smoothing_costs
 from adaptiveface.synthetic.performer import Performer
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -98,6 +102,21 @@ def smoothing_rows(sensor, result, actor) -> tuple[SmoothingCost, ...]:
     return smoothing_costs(still, sensor.fps)
 
 
+def arkit_errors(sensor, result, actor) -> dict[str, float]:
+    """Root mean square error of the curves that ARKit's units say (no gaze): those that the 23 drive, and the others."""
+    part, names = slice(sensor.neutral_frames, None), sensor.performer.expression_names
+    truth = np.zeros((sensor.frames, len(ARKIT_NAMES)))
+    truth[:, [ARKIT_NAMES.index(name) for name in names]] = sensor.script
+    asked = np.isin(ARKIT_NAMES, unit_names())
+    driven = asked & (np.abs(arkit_weights(result.expression_names).matrix).max(axis=0) > 0)
+    out = {}
+    for way in ("resolved", "arkit"):
+        error = retarget(result, way, actor=actor).curves[part] - truth
+        for label, columns in (("all", asked), ("driven by the 23", driven), ("others", asked & ~driven)):
+            out[f"{way}, {label}"] = float(np.sqrt(np.mean(error[:, columns] ** 2)))
+    return out
+
+
 def _joined(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.4f}" for name, value in values.items())
 
@@ -109,15 +128,19 @@ def main() -> None:
     parser.add_argument("--noise", default="structured-light")
     arguments = parser.parse_args()
     embedded_face_model()
-    errors, shares, smooth = [], [], []
+    errors, shares, smooth, curves = [], [], [], []
     for seed in arguments.seeds:
         actor, (sensor, result), (known, known_result), truth = performances(seed, arguments.frames, arguments.noise)
         errors.append(coefficient_errors(known, truth, known_result, actor))
         shares.append(transfer_errors(sensor, actor, result))
         smooth.append(smoothing_rows(sensor, result, actor))
+        curves.append(arkit_errors(sensor, result, actor))
         print(f"performer {seed}: coefficients, rms error: {_joined(errors[-1])}", flush=True)
         share = {name: values[0] for name, values in shares[-1].items()}
         print(f"performer {seed}: target, active share: {_joined(share)}", flush=True)
+        print(f"performer {seed}: ARKit's curves, rms error: {_joined(curves[-1])}", flush=True)
+    for name in curves[0]:
+        print(f"ARKit's curves, {name}: rms error {np.mean([row[name] for row in curves]):.4f}")
     for name in errors[0]:
         print(f"coefficients, {name}: rms error {np.mean([row[name] for row in errors]):.4f}")
     for name in shares[0]:

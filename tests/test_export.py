@@ -470,7 +470,7 @@ class _Source:
 def streamed_jaw(actor, saved, monkeypatch, *options: str) -> tuple[list[float], str]:
     """JawOpen of every frame of :class:`_Source` as ``adaptiveface stream`` sends it, and the port."""
     source = _Source(actor)
-    monkeypatch.setattr("adaptiveface.sensors.open_source", lambda text: source)
+    monkeypatch.setattr("adaptiveface.sensors.open_source", lambda *_: source)
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.bind((LOOPBACK, 0))
     port = str(listener.getsockname()[1])

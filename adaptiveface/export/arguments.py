@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..retargeting import BUILT_IN, COEFFICIENTS, UNITS
+from ..retargeting import BUILT_IN, DRIVERS, UNITS
 
 #: format -> what the output's name ends in ("": a folder).
 FORMATS = {"glb": ".glb", "arkit-csv": ".csv", "obj": "", "mdd": ".mdd", "pc2": ".pc2", "usd": ".usdc", "usdz": ".usdz",
@@ -26,7 +26,9 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
     command.add_argument("--out-unit", choices=tuple(UNITS), default="m",
                          help="obj, mdd, pc2: unit of length, m for Blender, cm for Maya (default: %(default)s)")  # fmt: skip
-    command.add_argument("--coefficients", choices=COEFFICIENTS, default="resolved", help="default: %(default)s")
+    command.add_argument("--coefficients", choices=DRIVERS,
+                         help="arkit: ARKit's shapes with their halves, solved from v4; resolved: the tracked expressions, "
+                         "solved from v4; initial: of the first fit (default: arkit where actor.npz is there)")  # fmt: skip
     _add_smoothing(command)
     command.add_argument("--correctives", action="store_true",
                          help="also carry v4 - v1 to a character of the actor's topology")  # fmt: skip

@@ -18,9 +18,10 @@ from ..livelink.take import is_take
 from ..result import Result
 from ..retargeting import COEFFICIENTS, UNITS
 from ..retargeting.arkit import arkit_weights
+from ..retargeting.arkit_resolve import has_units
 from ..retargeting.character import Character, is_gltf, load_character
 from ..retargeting.correctives import carried_correctives
-from ..retargeting.retarget import Performance, coverage, retarget
+from ..retargeting.retarget import Performance, coverage, driving_names, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
 from ..timing import clean_times, increasing
 from .animation import AnimatedMesh, actor_animation, character_animation, size_text, with_correctives
@@ -52,7 +53,8 @@ def run_export(args: argparse.Namespace) -> int:
         return run_take_export(args, out, _smoothing(args))
     result = _timed(Result.load(args.result), args.result)
     actor = _actor(args.actor, args.result.parent, result)
-    options = ExportOptions(args.character, args.coefficients, _smoothing(args), args.correctives, UNITS.get(args.unit))
+    options = ExportOptions(args.character, _coefficients(args, actor), _smoothing(args), args.correctives,
+                            UNITS.get(args.unit))  # fmt: skip
     if args.format == "arkit-csv":
         from .arkit_csv import write_arkit_csv
 
@@ -79,7 +81,8 @@ def run_export(args: argparse.Namespace) -> int:
         return 0
     if args.format == "glb" and options.avatar:
         performance = retarget(result, options.coefficients, options.smoothing, actor)
-        write_avatar(out, options, performance, lambda c: coverage(arkit_weights(result.expression_names), c))
+        table = arkit_weights(driving_names(result, options.coefficients))
+        write_avatar(out, options, performance, lambda c: coverage(table, c))
         return 0
     mesh = animated(result, actor, options)
     write_mesh(out, mesh, args.format, args.out_unit)
@@ -106,6 +109,14 @@ def _timed(result: Result, path: Path) -> Result:
     for note in times.notes:
         print(note)
     return replace(result, timestamps=times.seconds)
+
+
+def _coefficients(args: argparse.Namespace, actor: Actor | None) -> str:
+    """What drives characters: ARKit's own shapes where nothing else was asked for and the rig is there."""
+    if args.coefficients == "arkit" and args.correctives:
+        raise ParameterError("--coefficients arkit: does not go with --correctives, which carry what the expressions lack")
+    automatic = "arkit" if has_units(actor) and not args.correctives else "resolved"
+    return args.coefficients or automatic
 
 
 def _smoothing(args: argparse.Namespace) -> Smoothing | None:
@@ -167,7 +178,7 @@ def animated(result: Result, actor: Actor | None, options: ExportOptions) -> Ani
     if options.character == "actor":
         return actor_animation(result, actor)
     character = load_character(options.character, options.unit)
-    for line in coverage(arkit_weights(result.expression_names), character):
+    for line in coverage(arkit_weights(driving_names(result, options.coefficients)), character):
         print(line)
     return animated_character(result, actor, character, options)
 
@@ -232,7 +243,7 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
     found, receiver = addresses(args, default_vmc=True), avatar(args)  # what is wrong fails before the capture
     actor = Actor.load(args.actor) if args.actor else None
     actor = actor or capture_from(source, parameters, args.neutral_frames, progress=True)
-    streamer = Streamer(actor, parameters.blendshapes.A, smoothing=_smoothing(args), avatar=receiver,
+    streamer = Streamer(actor, parameters.blendshapes.A, smoothing=_smoothing(args), avatar=receiver, halves=has_units(actor),
                         parameters=parameters.blendshapes, **found)  # fmt: skip
     if streamer.unknown:
         print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")

@@ -13,6 +13,7 @@ from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
 from ..livelink.packet import LiveLinkFrame, encode
 from ..parameters import BlendshapeParameters
 from ..retargeting.arkit import arkit_weights
+from ..retargeting.arkit_resolve import ArkitResolve
 from ..retargeting.resolve import SparseResolve
 from ..retargeting.smoothing import Smoothing
 from ..tracking.types import TrackedFrame
@@ -50,20 +51,24 @@ class Streamer:
     """Sends every tracked frame to receivers: the coefficients re-solved from v4, and the head's motion.
 
     actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves;
-    ``parameters`` are those of the tracker (the defaults unless given). Where it goes and in which form: :class:`Sender`.
+    ``parameters`` are those of the tracker (the defaults unless given). halves: solve for ARKit's shapes with their left
+    and right halves (:class:`~adaptiveface.retargeting.arkit_resolve.ArkitResolve`) instead of the tracked expressions.
+    Where it goes and in which form: :class:`Sender`.
     """
 
     def __init__(
         self, actor: Actor, count: int | None = None, vmc: Address | None = None, osc: Address | None = None,
         smoothing: Smoothing | None = None, livelink: Address | None = None, avatar: VmcAvatar | None = None,
-        parameters: BlendshapeParameters | None = None,
+        parameters: BlendshapeParameters | None = None, halves: bool = False,
     ) -> None:
-        names = actor.expression_names[:count]
+        names, parameters = actor.expression_names[:count], parameters or BlendshapeParameters()
         self._weights = arkit_weights(names)
-        self._resolve = SparseResolve.as_tracked(actor, names, parameters or BlendshapeParameters())
-        self.unknown = self._weights.unknown
+        self._resolve = SparseResolve.as_tracked(actor, names, parameters)
+        self._halves = ArkitResolve(actor, parameters) if halves else None
+        self.unknown = () if halves else self._weights.unknown
         self._smoothing, self._state, self._before = smoothing, None, None
         self._start: np.ndarray | None = None
+        self._solved: np.ndarray | None = None
         self._sender = Sender(vmc, osc, livelink, avatar)
 
     @property
@@ -82,8 +87,10 @@ class Streamer:
         self._sender.send(state)
 
     def _curves(self, frame: TrackedFrame) -> np.ndarray:
-        coefficients = self._resolve(frame.v4, frame.coefficients)
-        curves = self._weights.curves(coefficients[None])[0]
+        if self._halves is not None:
+            curves = self._solved = self._halves(frame.v4, self._solved)
+        else:
+            curves = self._weights.curves(self._resolve(frame.v4, frame.coefficients)[None])[0]
         if self._smoothing is not None:
             dt = 1 / 30 if self._before is None else frame.timestamp - self._before
             curves, self._state = self._smoothing.step(curves, dt, self._state)

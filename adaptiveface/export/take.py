@@ -18,7 +18,7 @@ from .animation import AnimatedMesh, character_animation
 from .arkit_csv import take_performance, write_arkit_csv
 
 #: Options of ``export`` that need a tracked result, and their value when nobody asked for them.
-_OF_RESULTS = {"coefficients": "resolved", "correctives": False, "actor": None, "source": None, "compare": False}
+_OF_RESULTS = {"coefficients": None, "correctives": False, "actor": None, "source": None, "compare": False}
 
 
 def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | None) -> int:

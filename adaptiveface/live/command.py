@@ -226,11 +226,13 @@ class _Headless:
             return
         from ..export.destinations import said
         from ..export.stream import Streamer
+        from ..retargeting.arkit_resolve import has_units
         from ..retargeting.smoothing import OneEuro
 
         smoothing = OneEuro() if getattr(self.args, "smooth", False) else None
         fit = self.parameters.blendshapes
         streamer = Streamer(run.actor, fit.A, smoothing=smoothing, avatar=self._avatar, parameters=fit,
+                            halves=has_units(run.actor),
                             **self._destinations)  # fmt: skip
         print("\n".join(said(self._destinations)))
         run.on_result(lambda result: streamer.send(result.tracked))

@@ -17,6 +17,7 @@ from ..result_access import time_table
 from ..timing import frame_rate, increasing
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
+from .arkit_resolve import ArkitResolve, unit_names
 from .character import Character
 from .resolve import SparseResolve, blendshape_parameters
 from .smoothing import Smoothing
@@ -107,12 +108,33 @@ def head_blocks(result: Result, size: int = 64) -> Iterator[tuple[slice, np.ndar
 def retarget(
     result: Result, coefficients: str = "resolved", smoothing: Smoothing | None = None, actor: Actor | None = None
 ) -> Performance:
-    """The performance of a tracked result, from :func:`driving_coefficients`. Raises :class:`ParameterError`."""
+    """The performance of a tracked result, from :func:`driving_coefficients`. Raises :class:`ParameterError`.
+
+    ``coefficients`` "arkit": ARKit's shapes with their halves, re-solved from v4 by :class:`ArkitResolve`; needs the actor.
+    """
+    if coefficients == "arkit":
+        return _arkit_performance(result, actor).smoothed(smoothing)
     values = driving_coefficients(result, coefficients, actor)
     table = arkit_weights(result.expression_names)
     performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float),
                               table.unknown)  # fmt: skip
     return performance.smoothed(smoothing)
+
+
+def _arkit_performance(result: Result, actor: Actor | None) -> Performance:
+    if actor is None:
+        raise ParameterError("coefficients arkit: needs the actor's rig (--actor actor.npz)")
+    resolve = ArkitResolve(actor, blendshape_parameters(result))
+    curves, before = np.empty((len(result), len(ARKIT_NAMES))), None
+    for part, meshes in head_blocks(result):
+        for frame, v4 in zip(range(part.start, part.stop), meshes, strict=True):
+            curves[frame] = before = resolve(v4, before)
+    return Performance(curves, increasing(result.timestamps), result.rigid.astype(float))
+
+
+def driving_names(result: Result, coefficients: str) -> tuple[str, ...]:
+    """The expressions that drive the target: the result's, or with "arkit" the units."""
+    return unit_names() if coefficients == "arkit" else tuple(result.expression_names)
 
 
 def coverage(table: ArkitWeights, character: Character) -> list[str]:

@@ -1,0 +1,58 @@
+"""ARKit's shapes, with their left and right halves, re-solved from final meshes (section 6).
+
+The paper's 23 generic expressions have no squint, dimple, press or wide eyes, and move brows, lips and nose alike on both
+sides. v4 holds more than they can say. So the model's expression units, which are ARKit's shapes one by one, are
+transferred to the actor's neutral as the 23 were (section 3), and v4 is solved for them as for the 23: bounded, and with
+a preference for few. The tracker itself is left alone. eyeLook shapes are not solved for: lids hardly show where an eye
+looks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from ..actor import Actor
+from ..blendshapes import deformation_transfer
+from ..errors import ParameterError
+from ..face_model import embedded_face_model
+from ..livelink import ARKIT_NAMES
+from ..parameters import BlendshapeParameters
+from .resolve import SparseResolve
+
+
+@lru_cache(maxsize=1)
+def unit_names() -> tuple[str, ...]:
+    """The units that are solved for: ARKit names, 43 of the embedded model's 51."""
+    return tuple(n for n in embedded_face_model().expression_names if n in ARKIT_NAMES and not n.startswith("eyeLook"))
+
+
+def has_units(actor: Actor | None) -> bool:
+    """Whether the actor's mesh is the embedded model's, whose units can be transferred to it."""
+    return actor is not None and np.array_equal(actor.triangles, embedded_face_model().triangles)
+
+
+class ArkitResolve:
+    """Solves one actor's final meshes for ARKit's curves; the transfer of the units takes a few seconds.
+
+    Raises :class:`ParameterError` for an actor on another mesh.
+    """
+
+    def __init__(self, actor: Actor, parameters: BlendshapeParameters | None = None) -> None:
+        if not has_units(actor):
+            raise ParameterError("coefficients arkit: the actor's mesh is not the face model's; use resolved")
+        model, names = embedded_face_model(), unit_names()
+        rows = [model.expression_names.index(name) for name in names]
+        shapes = deformation_transfer(model.mean, actor.neutral, model.triangles, model.expressions[rows])
+        rig = replace(actor, blendshapes=shapes, expression_names=names)
+        self._solve = SparseResolve.as_tracked(rig, names, parameters or BlendshapeParameters())
+        self._columns = [ARKIT_NAMES.index(name) for name in names]
+
+    def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+        """(52,) curves in [0, 1] of a mesh (N, 3) mm in the head frame; ``start`` (52,): those of the frame before."""
+        out = np.zeros(len(ARKIT_NAMES))
+        solved = self._solve(vertices, None if start is None else start[self._columns])
+        out[self._columns] = np.clip(solved, 0.0, 1.0)
+        return out
