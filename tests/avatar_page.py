@@ -43,6 +43,7 @@ try {
   renderer.setSize(size, size, false);
   const bone = BONE ? gltf.scene.getObjectByName(BONE) : faces[0];
   const look = time => {
+    if (vrm) vrm.update(1 / 60);  // before the mixer, as docs/retargeting.md says
     mixer.setTime(time); gltf.scene.updateMatrixWorld(true);
     for (const mesh of meshes) if (mesh.skeleton) mesh.skeleton.update();
     renderer.render(scene, camera);

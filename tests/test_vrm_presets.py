@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
-from adaptiveface.retargeting.vrm_presets import PRESETS, VRM0_NAMES, preset_name, preset_row, preset_weights
+from adaptiveface.retargeting.vrm_presets import (
+    PRESETS,
+    VRM0_NAMES,
+    preset_name,
+    preset_row,
+    preset_table,
+    preset_weights,
+)
 
 
 def curves(**values: float) -> np.ndarray:
@@ -57,3 +66,8 @@ def test_weights_stay_within_zero_and_one():
     weights = preset_weights(random)
     assert weights.shape == (200, len(PRESETS)) and weights.min() == 0 and weights.max() <= 1
     np.testing.assert_array_equal(preset_weights(random, ("oh",))[:, 0], random[:, ARKIT_NAMES.index("mouthFunnel")])
+
+
+def test_the_documentation_has_the_table_of_the_code():
+    page = (Path(__file__).parents[1] / "docs" / "retargeting.md").read_text(encoding="utf-8")
+    assert preset_table() in page
