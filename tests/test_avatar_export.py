@@ -23,6 +23,7 @@ from avatar_files import (
 )
 from avatar_page import page
 from scipy.spatial.transform import Rotation
+from test_characters_hostile import _mutated_json, pack
 
 from adaptiveface import cli
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError, ParameterError
@@ -31,6 +32,7 @@ from adaptiveface.export.avatar_motion import NECK_SHARE
 from adaptiveface.livelink.convention import EYE_PITCH, EYE_YAW
 from adaptiveface.retargeting import gltf_compressed
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
+from adaptiveface.retargeting.character import load_character
 from adaptiveface.retargeting.retarget import Performance
 from adaptiveface.retargeting.vrm_presets import preset_weights
 
@@ -124,6 +126,14 @@ def test_everything_else_is_kept_byte_for_byte(tmp_path, performance, kind):
     assert body and new["images"] and new["skins"] and new["materials"]
 
 
+def test_a_second_performance_has_a_name_of_its_own(tmp_path, performance):
+    avatar().save(tmp_path / "0.glb")
+    for take in range(3):
+        Avatar(tmp_path / f"{take}.glb").write(tmp_path / f"{take + 1}.glb", performance)
+    names = [animation["name"] for animation in parsed(tmp_path / "3.glb")[0]["animations"]]
+    assert names == ["performance", "performance 2", "performance 3"]
+
+
 def test_weights_are_the_curves_and_default_weights_stay(tmp_path, performance):
     shapes = head()[3]
     glb = plain_head(shapes | {"WideHead": shapes["mouthPucker"]}, weights=[0.0] * len(shapes) + [0.75])
@@ -166,7 +176,7 @@ def test_short_takes(tmp_path, performance, modules, frames):
 
 @pytest.mark.parametrize(("kind", "bones"), [
     ("", "{}"), ("", "mixamorig:{}"), ("", "J_Bip_C_{}"), ("", "CC_Base_{}"), ("", "DEF-{}"), ("", "Bip01 {}"),
-    ("VRM", "Bone{}_x"), ("VRMC_vrm", "irgendwas{}"),
+    ("", "{}.x"), ("", "c_{}_jnt"), ("", "ValveBiped.Bip01_{}1"), ("VRM", "Bone{}_x"), ("VRMC_vrm", "irgendwas{}"),
 ])  # fmt: skip
 def test_head_neck_and_eyes_turn_as_the_performer(tmp_path, performance, kind, bones):
     Avatar(avatar(kind, bones=bones).save(tmp_path / "a.glb")).write(tmp_path / "out.glb", performance)
@@ -269,6 +279,25 @@ def test_where_no_bone_is_named_head_the_one_that_carries_the_face_turns(tmp_pat
     np.testing.assert_allclose(
         world_rotations(tmp_path / "out.glb", "knochenHeadq"), turns(performance.timestamps), atol=1e-6
     )
+
+
+def test_a_skeleton_that_the_face_does_not_hang_on_is_left_alone(tmp_path, performance):
+    glb = avatar()
+    face = next(node for node in glb.document["nodes"] if node.get("name") == "Face")
+    del face["skin"]
+    attributes = glb.document["meshes"][face["mesh"]]["primitives"][0]["attributes"]
+    del attributes["JOINTS_0"], attributes["WEIGHTS_0"]
+    Avatar(glb.save(tmp_path / "a.glb")).write(tmp_path / "out.glb", performance)
+    moved = tracks(tmp_path / "out.glb")
+    assert ("Face", "rotation") in moved and ("Head", "rotation") not in moved
+
+
+def test_japanese_bones(tmp_path, performance):
+    glb, names = avatar(), {"Head": "頭", "Neck": "首", "LeftEye": "左目", "RightEye": "右目"}
+    for node in glb.document["nodes"]:
+        node["name"] = names.get(node["name"], node["name"] + "骨")
+    Avatar(glb.save(tmp_path / "a.glb")).write(tmp_path / "out.glb", performance)
+    assert {(name, "rotation") for name in names.values()} <= tracks(tmp_path / "out.glb").keys()
 
 
 # ---- .gltf, files beside it, names ----
@@ -388,6 +417,36 @@ def test_peoples_avatars_are_passed_on(tmp_path, performance, modules, monkeypat
     assert {("Head", "rotation"), ("Neck", "rotation")} <= moved.keys()
     if person.face is None:
         assert any("unopened" in note and "pip install" in note for note in person.character.notes)
+
+
+@pytest.mark.parametrize(("extension", "opened"), [("KHR_texture_basisu", True), ("ACME_secret_geometry", False)])
+def test_extensions_that_we_do_not_know(tmp_path, performance, extension, opened):
+    glb = avatar()
+    glb.document |= {"extensionsUsed": [extension], "extensionsRequired": [extension]}
+    path = glb.save(tmp_path / "a.glb")
+    person = Avatar(path)
+    person.write(tmp_path / "out.glb", performance)
+    unchanged(path, tmp_path / "out.glb")
+    assert (person.face is not None) == opened
+    if not opened:
+        with pytest.raises(FileFormatError, match=extension):
+            load_character(path)
+
+
+@pytest.mark.parametrize("seed", range(150))
+def test_mutated_avatars_are_written_or_end_in_one_clear_error(tmp_path, performance, seed):
+    glb = vrm_with_presets(("VRM", "VRMC_vrm")[seed % 2]) if seed % 3 else avatar()
+    for _ in range(1 + seed % 3):
+        glb.document = _mutated_json(glb.document, np.random.default_rng([seed, 0xA7A]))
+    chunk = json.dumps(glb.document).encode()
+    path, out = tmp_path / "bad.glb", tmp_path / "out.glb"
+    path.write_bytes(pack(chunk, bytes(glb.binary)))
+    try:
+        Avatar(path).write(out, performance)
+    except AdaptiveFaceError as error:
+        assert "bad.glb" in str(error) and "\n" not in str(error) and not out.exists()
+    else:
+        assert parsed(out)[0]["animations"][-1]["name"] == ANIMATION
 
 
 # ---- three.js ----

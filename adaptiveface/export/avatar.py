@@ -20,7 +20,7 @@ from ..timing import increasing
 from .avatar_motion import avatar_motion, local_rotation
 from .gltf_edit import GltfEdit
 
-#: Name of the animation that is added.
+#: Name of the animation that is added; a number follows where the file has one of that name.
 ANIMATION = "performance"
 
 
@@ -68,10 +68,13 @@ class Avatar:
             tracks = [(node, "weights", self._weights(node, activations)) for node in faces] + motion.tracks
             for node, _, _ in motion.tracks:
                 self._movable(edit.document["nodes"][node], node)
-            edit.add_animation(ANIMATION, increasing(performance.timestamps), tracks)
-            before = len(self.file.items("animations"))
+            before = [animation.get("name") for animation in self.file.items("animations")]
+            name = next(
+                n for n in (ANIMATION, *(f"{ANIMATION} {k}" for k in range(2, len(before) + 3))) if n not in before
+            )
+            edit.add_animation(name, increasing(performance.timestamps), tracks)
         edit.save()
-        kept = [f"its {before} animations are kept; the last one, '{ANIMATION}', is new"] if before else []
+        kept = [f"its {len(before)} animations are kept; the last one, '{name}', is new"] if before else []
         return motion.notes + edit.notes + kept
 
     def _weights(self, node: int, activations: np.ndarray) -> np.ndarray:

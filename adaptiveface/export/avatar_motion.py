@@ -52,6 +52,8 @@ def avatar_motion(
     gaze = rotations(eye_angles(performance.curves).reshape(-1, 2, 3))
     motion, rest = AvatarMotion(), _rest_rotations(nodes)
     bones = find_bones(file, nodes)
+    if "head" in bones and not any(_carriers(nodes, n) & set(nodes.below(bones["head"])) for n in faces):
+        bones = {}  # a skeleton that the face does not hang on
     if "head" not in bones and face is not None and not face.alone and face.carrier is not None:
         bones = {"head": face.carrier}
         motion.notes.append(f"no bone is named head: '{nodes.name(face.carrier)}', which carries the face, is turned")

@@ -8,11 +8,13 @@ from .gltf_container import GltfContainer, extensions
 from .gltf_nodes import Nodes
 
 #: Words in bone names that say which rig they come from, not which bone they are.
-_RIG = {"mixamorig", "j", "bip", "adj", "c", "cc", "base", "def", "org", "valvebiped", "armature", "bone", "jnt", "joint",
-        "jt", "b", "m", "mid", "center", "x", "bind", "skin", "rig", "character", "avatar", "sk", "bn"}  # fmt: skip
+_RIG = {"mixamorig", "j", "bip", "adj", "c", "cc", "base", "def", "org", "valve", "biped", "armature", "bone", "jnt", "joint",
+        "jt", "b", "m", "mid", "center", "x", "bind", "skin", "rig", "character", "avatar", "sk", "bn", "facial"}  # fmt: skip
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _JOINED = {"lefteye": "left eye", "righteye": "right eye", "eyeleft": "left eye", "eyeright": "right eye",
            "leye": "left eye", "reye": "right eye"}  # fmt: skip
+#: MikuMikuDance's bones.
+_JAPANESE = {"頭": {"head"}, "首": {"neck"}, "左目": {"left", "eye"}, "右目": {"right", "eye"}}
 _EYES = ({"eye"}, {"eyeball"}, {"face", "eye"})
 _VRM = {"head": "head", "neck": "neck", "leftEye": "left eye", "rightEye": "right eye"}
 
@@ -68,6 +70,8 @@ def _named(nodes: Nodes, joints: list[int]) -> dict[str, int]:
 
 def _words(name: str) -> set[str]:
     """The words of a bone's name, sides spelt out, without those of its rig: "J_Bip_C_Head" -> {"head"}."""
+    if name in _JAPANESE:
+        return _JAPANESE[name]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|[^A-Za-z]+", " ", name.rsplit(":", 1)[-1][:256]).lower()
     words = " ".join(_JOINED.get(word, word) for word in spaced.split()).split()
     return {_SIDES.get(word, word) for word in words if word not in _RIG}
