@@ -15,12 +15,14 @@ import shutil
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -346,9 +348,15 @@ def camera(send: Callable[[Callable[[bytes], None]], None], kind: str = "multipa
         server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         server.daemon_threads = True
         threading.Thread(target=server.serve_forever, daemon=True).start()
+        with contextlib.suppress(StopIteration):
+            send(stop)  # what is sent is made before the clock starts
         return ["live", f"webcam:http://127.0.0.1:{server.server_address[1]}/v", "--headless", "--seconds", "5"]
 
     return make
+
+
+def stop(_: bytes) -> None:
+    raise StopIteration
 
 
 def part(content: bytes, length: int | None = None) -> bytes:
@@ -357,8 +365,10 @@ def part(content: bytes, length: int | None = None) -> bytes:
 
 
 def repeat(*contents: Callable[[], bytes] | bytes, times: int = 10_000) -> Callable[[Callable[[bytes], None]], None]:
+    made = lru_cache(lambda: [content() if callable(content) else content for content in contents])
+
     def send(write: Callable[[bytes], None]) -> None:
-        data = [content() if callable(content) else content for content in contents]
+        data = made()
         for number in range(times):
             write(data[min(number, len(data) - 1)])
 
@@ -486,6 +496,22 @@ def measure(name: str, folder: Path) -> Measured:
         return Measured(status, seconds, mebibytes, run.stderr)
     finally:
         shutil.rmtree(place)
+
+
+def table() -> int:
+    """Print every input with its time, memory and message; the number of those that are not refused as they should."""
+    bad = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        prepare(folder)
+        for case in CASES:
+            found = measure(case, folder)
+            bad += not found.good
+            said = " ".join(found.message.replace(f"{folder}/case/", "").split()).removeprefix("adaptiveface: error: ")
+            mark = "" if found.good else "BAD "
+            print(f"{mark}{case:<50}{found.seconds:6.2f} s{found.mebibytes:5.0f} MiB  {said[:110]}", flush=True)
+    print(f"{len(CASES) - bad} of {len(CASES)} refused within {SECONDS:g} s and {MEBIBYTES} MiB")
+    return bad
 
 
 def peak_kib() -> int:

@@ -1,6 +1,10 @@
 """Seeded faults of a sensor, through sensor thread, feature thread and tracker thread; what the tracked face does.
 
     python tests/fault_runs.py --runs 100
+    python tests/fault_runs.py --kill | --disk | --hostile
+
+The last three are about files: writers that signals end at random moments, writers on full and on read-only disks, inputs that
+mean harm (fault_writers.py, fault_hostile.py).
 
 Every run plays a clean performance, then a fault that the seed draws, then the clean performance again. The sensor waits
 for its reader, so that a run does not depend on the machine's speed; waiting times are counted in polls of the driver.
@@ -244,11 +248,32 @@ def same_learned(a: tuple, b: tuple) -> bool:
     return a[1:] == b[1:] and np.array_equal(a[0], b[0])
 
 
+def run_files(args: argparse.Namespace) -> int:
+    """The trials of files that were asked for; the exit status."""
+    bad = 0
+    faults = (("INT", "TERM", "KILL") if args.kill else ()) + (("disk", "read-only") if args.disk else ())
+    if faults:
+        import fault_writers
+
+        runs = min(args.runs, 20)
+        bad += fault_writers.table(faults, runs) + fault_writers.recordings(faults, runs)
+    if args.hostile:
+        import fault_hostile
+
+        bad += fault_hostile.table()
+    return 1 if bad else 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--fault", choices=tuple(FAULTS), action="append")
+    parser.add_argument("--kill", action="store_true", help="writers, ended by SIGINT, SIGTERM and SIGKILL")
+    parser.add_argument("--disk", action="store_true", help="writers on full and on read-only disks")
+    parser.add_argument("--hostile", action="store_true", help="inputs that mean harm")
     args = parser.parse_args()
+    if args.kill or args.disk or args.hostile:
+        return run_files(args)
     live_module.RECONNECT_SECONDS = 0.01
     stage, failures = make_stage(), 0
     print(f"{'fault':<28}{'runs':>5}{'good':>6}{'relocked after':>24}{'mesh off, mm':>22}")

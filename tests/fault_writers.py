@@ -228,7 +228,7 @@ def run(writer: Writer, fault: str, place: Path, old: Path, known: dict[int, obj
     try:
         process = child(lambda: writer.write(path, 1), limit)
         if fault in SIGNALS:
-            time.sleep(rng.uniform(0, 1.1 * seconds))
+            time.sleep(rng.uniform(0, 1.4 * seconds))
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, SIGNALS[fault])
         status = ended(process)
@@ -288,7 +288,8 @@ def table(faults: tuple[str, ...], runs: int, only: list[str] | None = None) -> 
             for fault in faults:
                 rng, counts = random.Random(f"{writer.name} {fault}"), Counter()
                 for _ in range(runs):
-                    room = occupied(paths[0]) + (rng.randrange(8, size) if fault == "disk" and size > 8 else 2 * size + 64) + 64
+                    free = rng.randrange(4, max(size, 8), 4) if fault == "disk" else 2 * size + 64
+                    room = occupied(paths[0]) + free
                     with disk(folder, room if fault in ("disk", "read-only") else None) as where:
                         counts[run(writer, fault, where, paths[0], known, seconds, 1024 * size, rng)] += 1
                 wrong = {state: count for state, count in counts.items() if state not in ("old", "new")}

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AdaptiveFaceError
+from ..interrupt import CtrlC
 
 #: Longest that ffmpeg may take to finish a film once it has all pictures, s.
 FINISH_SECONDS = 600.0
@@ -40,8 +41,10 @@ def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tu
     ]  # fmt: skip
     apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
     with tempfile.TemporaryFile() as said:
-        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **apart)
+        with CtrlC() as ctrl_c:  # between its start and its name here nobody could end it
+            child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **apart)
         try:
+            ctrl_c.check()
             _feed(child, frames)
             status = child.wait(FINISH_SECONDS)
         except BaseException:

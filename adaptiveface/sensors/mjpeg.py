@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import base64
 import io
-import urllib.error
 import urllib.request
+import warnings
 from http.client import HTTPException
 from urllib.parse import unquote, urlsplit, urlunsplit
 
@@ -59,7 +59,7 @@ class MjpegStream:
                 return None
             if line.lower().startswith(b"content-length:"):
                 text = line.split(b":", 1)[1].strip()
-                length = int(text) if text.isdigit() and len(text) < 12 else None
+                length = int(text[:20]) if text.isdigit() else None
             if begun and not line:
                 break
             begun = begun or line.startswith(b"--")
@@ -119,8 +119,12 @@ class MjpegStream:
 
     def _decoded(self, content: bytes) -> np.ndarray | None:
         try:
-            with Image.open(io.BytesIO(content), formats=("JPEG",)) as image:
-                width, height = image.size
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", Image.DecompressionBombWarning)
+                with Image.open(io.BytesIO(content), formats=("JPEG",)) as image:
+                    width, height = image.size
+        except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+            raise SensorError(f"{self._name}: {error}") from None
         except Exception:  # a damaged picture, whatever Pillow makes of it; the next one may be well
             return None
         if width * height > MAX_PIXELS:
