@@ -210,6 +210,46 @@ def test_blendshape_fit_recovers_known_coefficients(actor, joint):
         np.testing.assert_array_equal(found_pose, pose)
 
 
+@pytest.mark.parametrize("lag", [0.9, 0.5, 0.0])
+def test_the_pose_is_solved_for_the_coefficients_that_the_filter_leaves(actor, lag):
+    """A filter that lags takes away a part of the expression; the pose is the best one for what is left."""
+    truth = coefficients(actor, jawOpen=0.5, mouthSmileLeft=0.6, browInnerUp=0.7)
+    frame = render_frame(actor, posed_shape(actor, truth), head_pose((0.0, 0.1, 0.0)))
+    fit = BlendshapeFit(actor, BlendshapeParameters(ridge=0.0, temporal=0.0))
+    normals = vertex_normals(actor.neutral, actor.triangles)[fit.depth_vertices]
+    start = head_pose((0.01, 0.1, 0.0))
+    arguments = (whole_surface(frame, smoothing=0.3), frame.features, CAMERA, start, np.zeros(23), normals)
+    asked = []
+    pose, x = fit.fit(*arguments, settle=lambda x: asked.append(x) or lag * x)
+    raw_pose, raw = fit.fit(*arguments)
+    assert len(asked) == 1
+    np.testing.assert_array_equal(asked[0], raw)
+    np.testing.assert_array_equal(x, lag * raw)
+
+    def left(pose):
+        """How far one more update of the pose would move the head at x, mm."""
+        update = fit._solve(fit._assemble(*arguments[:3], pose, x, x, normals)[0], x)[1](x)
+        return np.linalg.norm(update[:3]) * 100 + np.linalg.norm(update[3:])
+
+    assert left(pose) < 0.25 * left(raw_pose)
+
+
+def test_a_filter_that_leaves_coefficients_alone_changes_no_bit(actor):
+    """kalman.model = off; and without the joint pose, the paper's way, no filter touches the pose."""
+    truth = coefficients(actor, jawOpen=0.4)
+    frame = render_frame(actor, posed_shape(actor, truth), head_pose((0.0, 0.1, 0.0)), noise=0.5)
+    for joint in (True, False):
+        fit = BlendshapeFit(actor, BlendshapeParameters(joint_pose=joint))
+        normals = vertex_normals(actor.neutral, actor.triangles)[fit.depth_vertices]
+        start = head_pose((0.01, 0.1, 0.0))
+        arguments = (whole_surface(frame), frame.features, CAMERA, start, np.zeros(23), normals)
+        plain, same = fit.fit(*arguments), fit.fit(*arguments, settle=lambda x: x)
+        np.testing.assert_array_equal(plain[0], same[0])
+        np.testing.assert_array_equal(plain[1], same[1])
+        if not joint:
+            np.testing.assert_array_equal(fit.fit(*arguments, settle=lambda x: 0.5 * x)[0], start)
+
+
 def test_resolve_returns_the_coefficients_of_a_blendshape_mesh(actor):
     truth = coefficients(actor, jawOpen=0.3, mouthPucker=0.5, eyeBlinkLeft=1.0)
     fit = BlendshapeFit(actor, BlendshapeParameters(ridge=0.0, sparsity=0.0))

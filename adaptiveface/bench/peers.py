@@ -186,7 +186,8 @@ def bounded_solve(recorded: Recorded, limit: int) -> Comparison:
         inputs.append((equations, x, factor.T, np.linalg.solve(factor, equations.g)))
 
     def ours(equations, x, *_):
-        return np.concatenate(fit._solve(equations, x))
+        x, update_for = fit._solve(equations, x)
+        return np.concatenate([update_for(x), x])
 
     def peer(equations, x, matrix, target):
         return lsq_linear(matrix, target, _bounds(fit.parameters, len(x)), method="bvls").x

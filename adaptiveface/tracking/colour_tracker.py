@@ -54,8 +54,7 @@ class ColourTracker(FaceTracker):
             held = None if self.pose is None else HeldPose(self.pose, TURN, SHIFT)
             for _ in range(rounds):
                 pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None, held)
-            limits = self.parameters.blendshapes
-            x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
+            x = self._settled(x)  # after the pose: features alone move it too far for coefficients that lag
             v1 = self.blendshapes.shape(x)
         if not in_front(pose) or self._error(frame, pose, x) > 2.0 * self.parameters.rigid.relocate:
             return self._lose(frame, ms, "the face in the picture does not fit the head")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -146,20 +147,24 @@ class BlendshapeFit:
         x: np.ndarray,
         normals: np.ndarray | None,
         held: HeldPose | None = None,
+        settle: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Alternate between correspondences and bounded solve; returns (pose (4, 4), x (A,)).
 
         ``x`` the coefficients of the previous frame, ``normals`` (n, 3) head-frame normals of ``depth_vertices``.
         Without a surface (None, and no normals) the features alone decide, with the pose ``held`` near the last one.
+        ``settle``: what becomes of the coefficients in the end (the Kalman filter); the pose is solved for those.
         """
         previous = x
-        for _ in range(self.parameters.iterations):
+        for number in range(self.parameters.iterations, 0, -1):
             equations, centre = self._assemble(surface, features, camera, pose, x, previous, normals)
             if held is not None:
                 held.add_to(equations, pose, self._middle)
-            update, x = self._solve(equations, x)
+            x, update_for = self._solve(equations, x)
+            if number == 1 and settle is not None:
+                x = settle(x)
             if self.parameters.joint_pose:
-                pose = apply_rigid_update(pose, update, centre)
+                pose = apply_rigid_update(pose, update_for(x), centre)
         return pose, x
 
     def _assemble(self, surface, features, camera, pose, x, previous, normals) -> tuple[NormalEquations, np.ndarray]:
@@ -198,16 +203,19 @@ class BlendshapeFit:
         weights = p.every * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
         add_rows(equations, jacobian, distances, weights, current)
 
-    def _solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Eliminate the unbounded pose update (Schur complement), solve the bounded coefficients, substitute back."""
+    def _solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable]:
+        """Eliminate the unbounded pose update (Schur complement) and solve the bounded coefficients.
+
+        Returns them (A,), and the function that substitutes coefficients back: the pose update (6,) that fits them best.
+        """
         h, g, count = equations.h, equations.g, len(x)
         lower, upper = np.full(count, self.parameters.lower), np.full(count, self.parameters.upper)
         if not self.parameters.joint_pose:
-            return np.zeros(6), bounded_least_squares(h[6:, 6:], g[6:], lower, upper, x)
+            return bounded_least_squares(h[6:, 6:], g[6:], lower, upper, x), lambda x: np.zeros(6)
         eliminated = np.linalg.solve(h[:6, :6], np.column_stack([h[:6, 6:], g[:6]]))
         reduced = h[6:, 6:] - h[6:, :6] @ eliminated[:, :-1]
         x = bounded_least_squares(reduced, g[6:] - h[6:, :6] @ eliminated[:, -1], lower, upper, x)
-        return eliminated[:, -1] - eliminated[:, :-1] @ x, x
+        return x, lambda x: eliminated[:, -1] - eliminated[:, :-1] @ x
 
     def resolve(self, vertices: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Section 6: few bounded coefficients (A,) that explain a head-frame mesh (N, 3) over the frontal region.

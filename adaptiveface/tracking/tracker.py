@@ -98,9 +98,9 @@ class FaceTracker:
 
         with timed(ms, "blendshapes"):  # section 4.2
             stiff = normals[self._fitted]
-            pose, x = self.blendshapes.fit(surface, frame.features, frame.camera, rigid.pose, self._x, stiff)
-            limits = self.parameters.blendshapes
-            x = np.clip(self.kalman.update(x), limits.lower, limits.upper)
+            pose, x = self.blendshapes.fit(
+                surface, frame.features, frame.camera, rigid.pose, self._x, stiff, settle=self._settled
+            )
             v1 = self.blendshapes.shape(x)
         with timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
             deformation, coverage, occluded = self._deform_to_depth(surface, frame, pose, v1, normals)
@@ -135,6 +135,11 @@ class FaceTracker:
             adaptive,
             ms,
         )
+
+    def _settled(self, x: np.ndarray) -> np.ndarray:
+        """The coefficients (A,) of this frame: filtered over time, within their bounds (section 4.2)."""
+        limits = self.parameters.blendshapes
+        return np.clip(self.kalman.update(x), limits.lower, limits.upper)
 
     # ---- section 4.1 -----------------------------------------------------------------------------------------------
     def _find_head(self, frame: RgbdFrame, normals: np.ndarray, ms) -> tuple[RigidFit | None, DepthSurface | None]:
