@@ -86,12 +86,12 @@ def load_peers() -> list[str]:
 
 @contextmanager
 def _recorded(owner, name: str):
-    """Let ``owner.name`` note the arguments of every call; yields the list."""
+    """Let ``owner.name`` note the positional arguments of every call; yields the list."""
     original, calls = getattr(owner, name), []
 
-    def noting(*arguments):
+    def noting(*arguments, **options):
         calls.append(tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
-        return original(*arguments)
+        return original(*arguments, **options)
 
     own = name in vars(owner)
     setattr(owner, name, noting)
