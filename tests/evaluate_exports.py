@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,10 @@ from adaptiveface.retargeting.retarget import retarget
 
 REAL_TAKE = Path(__file__).resolve().parents[2] / "shared/recordings/people/arkit/range_of_motion.csv"
 NODE_PACKAGES = ("gltf-validator@2.0.0-dev.3.10", "three@0.170.0")
-WRITERS: dict[str, Callable] = {"glb": write_glb, "usdc": write_usd, "usdz": write_usd, "pc2": write_point_cache,
-                                "mdd": write_point_cache}  # fmt: skip
+WRITERS: dict[str, Callable] = {
+    "glb": write_glb, "compact.glb": partial(write_glb, compact=True), "usdc": write_usd, "usdz": write_usd,
+    "pc2": write_point_cache, "mdd": write_point_cache,
+}  # fmt: skip
 Row = tuple[str, str, str]
 
 _THREE = """
@@ -154,18 +157,20 @@ def usd_rows(exports: Exports) -> Iterator[Row]:
 
 def web_rows(exports: Exports, modules: Path) -> Iterator[Row]:
     """Khronos' validator and three.js."""
-    names = list(exports.meshes)
-    files = [str(exports.paths[name, "glb"]) for name in names]
+    kinds = {f"{name}, .{kind}": (name, path) for (name, kind), path in exports.paths.items() if kind.endswith("glb")}
+    names, files = list(kinds), [str(path) for _, path in kinds.values()]
     run = subprocess.run(["node", "-e", _VALIDATE, str(modules), *files], capture_output=True, text=True, check=True)
     for name, line in zip(names, run.stdout.splitlines(), strict=True):
-        yield "glTF validator", f"{name}, .glb", "{} errors, {} warnings".format(*line.split())
+        size = Path(kinds[name][1]).stat().st_size / 1e6
+        yield "glTF validator", name, f"{size:.1f} MB; " + "{} errors, {} warnings".format(*line.split())
     script, jobs, answer = (modules.parent / n for n in ("three.mjs", "jobs.json", "answer.json"))
     script.write_text(_THREE)
-    times = {name: exports.meshes[name].timestamps[exports.frames[name]].tolist() for name in names}
+    times = {key: exports.meshes[name].timestamps[exports.frames[name]].tolist() for key, (name, _) in kinds.items()}
     jobs.write_text(json.dumps({"files": dict(zip(names, files, strict=True)), "times": times}))
     subprocess.run(["node", str(script), str(jobs), str(answer)], check=True, cwd=modules.parent)
     for name, points in json.loads(answer.read_text()).items():
-        yield "three.js", f"{name}, .glb", f"four frames within {exports.distance(name, np.array(points)):.5f} mm"
+        off = exports.distance(kinds[name][0], np.array(points))
+        yield "three.js", name, f"four frames within {off:.5f} mm"
 
 
 def take_rows(folder: Path) -> Iterator[Row]:

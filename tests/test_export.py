@@ -191,6 +191,25 @@ const validator = require(process.argv[1]), fs = require('fs');
 """
 
 
+def validator_issues(node_modules, paths) -> dict:
+    run = subprocess.run(["node", "-e", _VALIDATE, str(node_modules / "gltf-validator"), *map(str, paths)],
+                         capture_output=True, text=True, timeout=120, check=True)  # fmt: skip
+    return json.loads(run.stdout)
+
+
+def test_compact_files_are_small_and_near(files, node_modules, tmp_path):
+    for name, mesh in files[1].items():
+        path = tmp_path / f"{name}.glb"
+        write_glb(path, mesh, compact=True)
+        assert path.stat().st_size < 0.55 * (files[0] / f"{name}.glb").stat().st_size
+        again = read_glb_animation(path)
+        off = [np.linalg.norm(again.shape(f, posed=True) - mesh.shape(f, posed=True), axis=1).max() for f in range(FRAMES)]
+        assert max(off) < 0.05
+        assert np.abs(again.weights - mesh.weights).max() < 1e-4 and again.target_names == mesh.target_names
+    for path, found in validator_issues(node_modules, sorted(tmp_path.iterdir())).items():
+        assert found["numErrors"] == 0 and found["numWarnings"] == 0, (path, found["messages"][:3])
+
+
 def test_khronos_validator_finds_nothing(files, node_modules):
     folder, meshes = files
     paths = [str(folder / f"{name}.glb") for name in meshes]

@@ -24,6 +24,7 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
                          "the size of the head for OBJ files)")  # fmt: skip
     command.add_argument("--format", choices=tuple(FORMATS), default="glb", help="default: %(default)s")
     command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
+    command.add_argument("--compact", action="store_true", help="glb: 16-bit coordinates, under half the size")
     command.add_argument("--out-unit", choices=tuple(UNITS), default="m",
                          help="obj, mdd, pc2: unit of length, m for Blender, cm for Maya (default: %(default)s)")  # fmt: skip
     command.add_argument("--coefficients", choices=DRIVERS,

@@ -85,7 +85,7 @@ def run_export(args: argparse.Namespace) -> int:
         write_avatar(out, options, performance, lambda c: coverage(table, c))
         return 0
     mesh = animated(result, actor, options)
-    write_mesh(out, mesh, args.format, args.out_unit)
+    write_mesh(out, mesh, args.format, args.out_unit, args.compact)
     print(f"{out}: {mesh.description}")
     return 0
 
@@ -123,12 +123,12 @@ def _smoothing(args: argparse.Namespace) -> Smoothing | None:
     return FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None
 
 
-def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m") -> None:
+def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compact: bool = False) -> None:
     """Write any of the formats of meshes; says the size of large ones first. ``unit``: of lengths in OBJ and caches."""
     if kind == "glb":
         from .gltf import write_glb
 
-        write_glb(out, mesh)
+        write_glb(out, mesh, compact)
     elif kind in ("usd", "usdz"):
         from .usd import write_usd
 
@@ -149,6 +149,9 @@ def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m") -> Non
 
 
 def _output(args: argparse.Namespace) -> Path:
+    if args.compact and (args.format != "glb" or (is_gltf(args.character) and not args.correctives)):
+        what = "a character's own file, which stays as it is" if args.format == "glb" else args.format
+        raise ParameterError(f"--compact: only for .glb files that are written anew, not for {what}")
     suffix = FORMATS[args.format]
     name = "arkit" if args.format == "arkit-csv" else Path(args.character).stem
     out = args.out or args.result.with_name(f"{args.result.stem}-{name}{suffix or '-obj'}")
