@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import stat
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core import caching
 
 from adaptiveface.caches import cache_folder, cache_folders, folders
 from adaptiveface.views.session import load_session
@@ -196,3 +198,14 @@ def test_a_session_that_cannot_be_kept_still_runs(tmp_path, monkeypatch, capsys)
     (tmp_path / "file").write_text("")
     assert len(load_session("synthetic:3:none", neutral_frames=2, frames=2, cache=tmp_path / "file" / "x")) == 4
     assert "not kept for the next time" in capsys.readouterr().out
+
+
+def test_older_versions_of_numba_name_their_classes_otherwise(monkeypatch):
+    """0.60, the oldest that is asked for, has an underscore before two of them."""
+    with monkeypatch.context() as patch:
+        for name in ("InTreeCacheLocator", "UserProvidedCacheLocator"):
+            patch.setattr(caching, f"_{name}", getattr(caching, name), raising=False)
+            patch.delattr(caching, name)
+        module = importlib.util.module_from_spec(importlib.util.find_spec("adaptiveface.caches.compiled"))
+        module.__spec__.loader.exec_module(module)
+        assert module._Checked._locator_classes[1] is caching._InTreeCacheLocator

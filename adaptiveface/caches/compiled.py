@@ -14,10 +14,16 @@ from functools import cache
 from pathlib import Path
 
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator, UserProvidedCacheLocator
+from numba.core import caching
 from numba.core.serialize import dumps
 
 from .folders import cache_folder
+
+# Older versions of numba name them with an underscore.
+_Beside, _Named = (
+    getattr(caching, name, None) or getattr(caching, f"_{name}")
+    for name in ("InTreeCacheLocator", "UserProvidedCacheLocator")
+)
 
 
 def compiled(function: Callable | None = None, **options):
@@ -33,7 +39,7 @@ def compiled(function: Callable | None = None, **options):
     return dispatcher
 
 
-class _OurCache(InTreeCacheLocator):
+class _OurCache(_Beside):
     """The package's own cache folder."""
 
     def __init__(self, function, file: str) -> None:
@@ -57,10 +63,10 @@ def _folder() -> Path | None:
     return cache_folder()
 
 
-class _Checked(CompileResultCacheImpl):
+class _Checked(caching.CompileResultCacheImpl):
     """Compiled code with its checksum: damaged machine code would be run."""
 
-    _locator_classes = [UserProvidedCacheLocator, InTreeCacheLocator, _OurCache]
+    _locator_classes = [_Named, _Beside, _OurCache]
 
     def reduce(self, data):
         """What is stored: checksum and bytes."""
@@ -75,7 +81,7 @@ class _Checked(CompileResultCacheImpl):
         return super().rebuild(target_context, pickle.loads(content))
 
 
-class _Cache(FunctionCache):
+class _Cache(caching.FunctionCache):
     """Throws damaged files away, and does without a cache that can no longer be written."""
 
     _impl_class = _Checked
