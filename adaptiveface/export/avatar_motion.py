@@ -78,6 +78,8 @@ def _rest_rotations(nodes: Nodes) -> list[np.ndarray]:
 
 def local_rotation(nodes: Nodes, number: int) -> np.ndarray:
     """(3, 3) rotation of a node in its parent's frame at rest."""
+    if number in nodes.ours:
+        return np.eye(3)
     if "matrix" not in nodes.entries[number]:
         return quaternion_matrix(nodes.rotation(nodes.entries[number]))
     left, _, right = np.linalg.svd(nodes.local[number][:3, :3])
@@ -158,7 +160,18 @@ def _tops(nodes: Nodes, mine: set[int], others: set[int]) -> list[int]:
             counts[nodes.parent[number]] += counts[number]
     only = (counts[:, 0] > 0) & (counts[:, 1] == 0)
     shown = set(nodes.shown)
-    return [n for n in nodes.shown if only[n] and not (nodes.parent.get(n) in shown and only[nodes.parent[n]])]
+    tops = [n for n in nodes.shown if only[n] and not (nodes.parent.get(n) in shown and only[nodes.parent[n]])]
+    return [_lowest(nodes, top, counts[:, 0], mine) for top in tops]
+
+
+def _lowest(nodes: Nodes, number: int, held: np.ndarray, mine: set[int]) -> int:
+    """The lowest node that has the same of ``mine`` at or below it as ``number``; ``held``: how many each node has."""
+    while number not in mine:
+        below = [child for child in nodes.children[number] if held[child] == held[number]]
+        if not below:
+            break
+        number = below[0]
+    return number
 
 
 def _middle(file: GltfFile, nodes: Nodes, faces: set[int]) -> np.ndarray:

@@ -33,6 +33,7 @@ class GltfContainer:
         self.path = Path(path)
         self.chunks: list[tuple[bytes, memoryview]] = []
         self._buffers: dict[int, memoryview] = {}
+        self._lists: dict[str, list[dict]] = {}
         with self.errors():
             data = memoryview(read_bytes(self.path, MAX_FILE_BYTES))
             self.size = self._taken = len(data)
@@ -95,11 +96,14 @@ class GltfContainer:
 
     def items(self, name: str) -> list[dict]:
         """A top-level array of objects, [] where absent."""
+        if name in self._lists:
+            return self._lists[name]
         items = self.document.get(name) or []
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
             raise self.error(f"'{name}' is not a list of objects")
         if len(items) > MAX_ITEMS:
             raise self.error(f"{len(items)} {name}; at most {MAX_ITEMS} are read")
+        self._lists[name] = items
         return items
 
     def item(self, name: str, index) -> dict:

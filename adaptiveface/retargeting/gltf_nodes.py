@@ -13,7 +13,8 @@ MAX_JOINTS = 10_000
 class Nodes:
     """The node tree. Raises :class:`FileFormatError`: a node with two parents, in a circle, with a strange transform.
 
-    parent: node -> its parent; local, world: node -> (4, 4) at rest; shown: nodes of the default scene, parents first.
+    parent: node -> its parent; local, world: node -> (4, 4) at rest; shown: nodes of the default scene, parents first; ours:
+    heads of files that we wrote, which count as unturned.
     """
 
     def __init__(self, file: GltfContainer) -> None:
@@ -32,11 +33,19 @@ class Nodes:
             lost = min(set(range(len(self.entries))) - set(order))
             raise file.error(f"node {lost} lies in a circle of nodes")
         self.local = [self._local(node) for node in self.entries]
+        self.ours = {number for number, node in enumerate(self.entries) if self._posed_by_us(node)}
+        for number in self.ours:
+            self.local[number] = np.eye(4)
         self.world: dict[int, np.ndarray] = {}
         for number in order:
             above = self.world[self.parent[number]] if number in self.parent else np.eye(4)
             self.world[number] = above @ self.local[number]
         self.shown = self._below(self._scene(roots))
+
+    def _posed_by_us(self, node: dict) -> bool:
+        """Whether the node is the head of a file that we wrote: it rests in its first frame's pose, which is no neutral."""
+        maker = str((self._file.document.get("asset") or {}).get("generator"))
+        return maker.startswith("adaptiveface ") and node.get("name") == "head" and "mesh" in node
 
     def _scene(self, roots: list[int]) -> list[int]:
         """Roots of the default scene: the file's, else its first, else all nodes."""
