@@ -186,6 +186,7 @@ ASIDE, TALKING, SMILING = (
         ([ASIDE] * 30, range(10), "doubtful"),
         ([TALKING] * 8 + [CALM] * 4, range(8, 12), "open mouth"),
         ([CALM], range(1), ""),
+        ([], range(0), ""),
         ([TALKING], range(1), "doubtful"),
     ],
 )

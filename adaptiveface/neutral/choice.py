@@ -86,6 +86,8 @@ def choose(judged: Sequence[Judged | None], count: int) -> Choice:
     Otherwise the stretch of ``count`` calm frames that is calmest; where there are fewer, those; where there are hardly
     any, the leading ones, with a note.
     """
+    if not judged:
+        return Choice([])
     cost = costs(judged)
     lead = list(range(min(count, len(judged))))
     if leading_is_calm(cost[lead], judged[: len(lead)]):
