@@ -14,7 +14,6 @@ from typing import Protocol, runtime_checkable
 from ..camera import Camera
 from ..errors import FileFormatError, ParameterError
 from ..frame import RgbdFrame
-from ..livelink.take import is_take
 from ..synthetic.noise import DEPTH_SCALES
 from .catalogue import SensorInfo, list_sensors, open_sensor
 from .file_player import plays
@@ -80,7 +79,7 @@ def _open(text: str, field_of_view: float | None) -> FrameSource:
         folder = Path(text).with_suffix("")
         convert = shlex.join(["adaptiveface", "convert", text, "--out", str(folder)])
         raise FileFormatError(f"{text}: plays from start to end only; first: {convert}; then use {folder}")
-    if is_take(text) and Path(text).is_file():
+    if text.lower().endswith(".csv") and Path(text).is_file():
         export = shlex.join(["adaptiveface", "export", text, "--character", "hag"])
         raise FileFormatError(f"{text}: a take of curves has no pictures to track; it drives characters: {export}")
     if is_video(text):
