@@ -327,6 +327,19 @@ def bench_of(session, **options) -> views.Workbench:
     return views.Workbench(session, ["laplacian.w2", "adaptive_pca.K"], panes, [views.figure_11(session)], **options)
 
 
+def test_the_sliders_of_a_workbench_end_at_the_actors_expressions(session, strict):
+    """A is 23 by default; with fewer expressions the slider shows those, and the run keeps its own parameters."""
+    few = dataclasses.replace(session.actor, blendshapes=session.actor.blendshapes[:9],
+                              expression_names=session.actor.expression_names[:9])  # fmt: skip
+    less = dataclasses.replace(session, frames=session.frames[:3], _actor=few)
+    bench = views.Workbench(less, ["blendshapes"], {"v1": lambda result, frame: (result.v1, None)}, camera=False)
+    slider = bench.panel["blendshapes.A"]
+    assert (slider.value, slider.max, bench.parameters) == (9, 9, Parameters())
+    bench.set(blendshapes__ridge=5.0)
+    assert bench.parameters == Parameters().set(blendshapes__ridge=5.0)
+    bench.close()
+
+
 def test_a_moved_slider_changes_the_picture_and_then_the_chart(session, strict):
     async def scenario() -> None:
         bench = bench_of(session, start=8)
