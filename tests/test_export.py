@@ -389,6 +389,7 @@ def test_compare_shows_initial_and_resolved_side_by_side(saved, monkeypatch):
 @pytest.mark.parametrize(("options", "reason"), [
     (["--character", "nobody"], "neither built in"), (["--out", "x.txt"], "must end in .glb"),
     (["--out", "/dev/null/at/all/x.glb"], "cannot be made"), (["--format", "mp4", "--source", "synthetic:1"], "another"),
+    (["--format", "usd", "--compact"], "not for usd"), (["--coefficients", "arkit", "--correctives"], "does not go with"),
 ])  # fmt: skip
 def test_export_refuses_in_one_line(saved, options, reason, capsys):
     assert cli.main(["export", str(saved / "result.npz"), *options]) == cli.EXIT_ERROR

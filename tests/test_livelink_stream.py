@@ -154,6 +154,17 @@ def test_receiver_follows_one_phone_and_counts_the_rest():
             pass
 
 
+def test_a_sender_whose_clock_stands_still_is_taken_by_arrival():
+    with LiveLinkReceiver(port=free_port()) as receiver:
+        Phone(receiver.port, [encode(frame(0, jawOpen=k / 10)) for k in range(10)], pause=0.02)
+        got, until = [], time.monotonic() + 5
+        while len(got) < 10 and time.monotonic() < until:
+            got += list(receiver.frames(0.2))
+        assert [round(f.curves[ARKIT_NAMES.index("jawOpen")] * 10) for f in got] == list(range(10)) and receiver.late == 0
+        steps = np.diff([f.time for f in got])
+        assert (steps > 0).all() and 0.15 < steps.sum() < 3.0
+
+
 def test_live_livelink_keeps_a_take_and_sends_on(tmp_path, capsys):
     pytest.importorskip("pythonosc", reason="the extra 'osc' is not installed")
     port, out = free_port(), tmp_path / "take.csv"

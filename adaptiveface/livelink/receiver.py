@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 from ..errors import ParameterError, SensorError
 from .packet import MAX_BYTES, PORT, LiveLinkFrame, decode
@@ -42,7 +44,8 @@ class LiveLinkReceiver:
         self.bad, self.reason, self.late = 0, "", 0
         self.others: set[str] = set()
         self._device: str | None = None
-        self._last: float | None = None
+        self._last: float | None = None  # time of the last frame: as given on, as it said, and when it came
+        self._said, self._arrived = 0.0, 0.0
 
     def __enter__(self) -> LiveLinkReceiver:
         family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
@@ -81,8 +84,19 @@ class LiveLinkReceiver:
             if len(self.others) < 20:
                 self.others.add(frame.subject)
             return None
-        if self._last is not None and 0 <= self._last - frame.time < 1.0:
+        return self._timed(frame)
+
+    def _timed(self, frame: LiveLinkFrame) -> LiveLinkFrame | None:
+        """The frame with a time that rises: its own, or, from a sender whose clock stands still, that of its arrival."""
+        now = time.monotonic()
+        if self._last is None:
+            self._last, self._said, self._arrived = frame.time, frame.time, now
+            return frame
+        if 0 < self._said - frame.time < 1.0:
             self.late += 1
             return None
-        self._last = frame.time
-        return frame
+        stands = frame.time == self._said
+        self._said = frame.time
+        self._last = self._last + max(now - self._arrived, 1e-4) if stands else frame.time
+        self._arrived = now
+        return replace(frame, time=self._last) if stands else frame
