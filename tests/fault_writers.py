@@ -130,7 +130,7 @@ def writers(folder: Path) -> list[Writer]:
     model = embedded_face_model()
 
     def report(path: Path, take: int) -> None:
-        made = write_report(results[take], None, actor, path.parent / "page")
+        made = write_report(results[take], None, actor, path.parent)
         assert made == path
 
     def rig(path: Path, take: int) -> None:

@@ -185,6 +185,8 @@ COMMANDS = {
     "export onto its character": (("export", "r.npz", "--character", "c.glb", "--out", "c.glb"), "also read"),
     "export onto a table": (("export", "r.npz", "--format", "arkit-csv", "--out", "t.csv"), "not a table of ARKit"),
     "export into a full folder": (("export", "r.npz", "--format", "obj", "--out", "full"), "other files"),
+    "batch onto a file": (("batch", "take", "--out", "a.npz"), "is a file"),
+    "scores onto a table": (("evaluate", "r.npz", "a.npz", "--csv", "t.csv"), "not a table of scores"),
     "record into a full folder": (("record", "synthetic", "--out", "full"), "holds files already"),
     "convert into a full folder": (("convert", "v.mp4", "--out", "full"), "holds files already"),
     "demo onto a file": (("demo", "--out", "a.npz"), "is a file"),

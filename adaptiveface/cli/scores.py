@@ -11,12 +11,14 @@ from ..errors import FileFormatError
 from ..evaluation import GroundTruth, bootstrap_interval, score_other, score_result, truth_of
 from ..evaluation.compare import is_result
 from ..evaluation.table import evaluation_table
-from ..files import make_parent, replacing
+from ..files import check_output, replacing
 from ..parameters import Parameters
 
 
 def compare_runs(pairs: Sequence[tuple[str, str]], actor: Path | None, step: int, table: Path | None) -> int:
     """Score each (result, truth), print, and write ``table`` (.csv) where it is given."""
+    if table is not None:
+        check_output(table, "scores", [actor, *(path for pair in pairs for path in pair)])
     rows, parameters = [], []
     for result, truth in pairs:
         row, used = _score(Path(result), truth, actor, step)
@@ -29,7 +31,6 @@ def compare_runs(pairs: Sequence[tuple[str, str]], actor: Path | None, step: int
         if differences:
             print(f"{first} and {other} differ in " + ", ".join(f"{k} {a} | {b}" for k, (a, b) in differences.items()))
     if table is not None:
-        make_parent(table)
         names = list(dict.fromkeys(name for row in rows for name in row))
         with replacing(table) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
             writer = csv.DictWriter(stream, names, restval="")

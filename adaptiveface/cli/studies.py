@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import ParameterError
 from ..export.arguments import FORMATS
+from ..files import check_folder, check_output
 from .arguments import add_settings, parameters, whole
 
 
@@ -33,6 +34,9 @@ def run_batch(args: argparse.Namespace) -> int:
     from ..actor import Actor
     from ..batch import Batch, dask_client, expand, find_sources, parse_sweep
 
+    check_folder(args.out)
+    if args.out.is_dir():
+        check_output(args.out / "index.html", "html")
     actor = None
     if args.actor:
         Actor.load(args.actor)  # a damaged rig ends here, and not in every recording

@@ -53,6 +53,7 @@ KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
     "mdd": ((".mdd",), "a point cache", _is_mdd),
     "pc2": ((".pc2",), "a point cache", _begins(b"pointcache2")),
     "rest-mesh": ((".obj",), "an OBJ file of this package", _begins(b"# adaptiveface")),
+    "scores": ((".csv",), "a table of scores", _begins(b"result,truth")),
     "mp4": ((".mp4",), "an MP4 video", _begins(b"ftyp", at=4)),
     "gif": ((".gif",), "a GIF", _begins(b"gif8")),
     "html": ((".html",), "a report", _begins(b"<!doctype html")),
@@ -79,10 +80,10 @@ def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
     suffixes, name, is_one = KINDS[kind]
     if path.suffix.lower() not in suffixes:
         raise AdaptiveFaceError(f"{path}: the output's name must end in {' or '.join(suffixes)}")
-    if path.is_dir():
+    if os.path.isdir(path):
         raise AdaptiveFaceError(f"{path}: is a folder, the name of a file is expected")
     check_no_input(path, inputs)
-    if path.exists():
+    if os.path.exists(path):
         _check_replaceable(path, name, is_one)
     make_parent(path)
     return path
@@ -99,7 +100,7 @@ def check_output_folder(path: Path, ours: Callable[[str], bool], inputs: Iterabl
 def check_new_folder(path: Path, inputs: Iterable[object] = ()) -> Path:
     """Refuse the path of an output folder that holds any file already."""
     check_no_input(path, inputs)
-    if path.exists() and not path.is_dir():
+    if os.path.exists(path) and not os.path.isdir(path):
         raise AdaptiveFaceError(f"{path}: is a file, the name of a new folder is expected")
     held = next((Path(at) / files[0] for at, _, files in os.walk(path) if files), None)
     if held is not None:
@@ -110,7 +111,7 @@ def check_new_folder(path: Path, inputs: Iterable[object] = ()) -> Path:
 
 def check_folder(path: Path) -> Path:
     """Refuse the path of a folder that is a file, or lies where none can be made; any files in it stay."""
-    if path.exists() and not path.is_dir():
+    if os.path.exists(path) and not os.path.isdir(path):
         raise AdaptiveFaceError(f"{path}: is a file, the name of a folder is expected")
     _check_can_make(path)
     return path
