@@ -10,8 +10,9 @@ from PIL import Image
 from recordings import edit_intrinsics, mutated, png_header
 
 from adaptiveface.camera import Camera
-from adaptiveface.errors import FileFormatError, FrameError, ParameterError
+from adaptiveface.errors import FileFormatError, FrameError, ParameterError, TrackingError
 from adaptiveface.frame import FEATURE_IDS, Features2D, RgbdFrame
+from adaptiveface.pipeline import capture_from
 from adaptiveface.sensors import FrameSource, Recording, RecordingWriter, open_source
 
 CAMERA = Camera(24, 16, 30.0, 31.0, 11.5, 7.5)
@@ -282,3 +283,10 @@ def test_real_recording(mannequin):
     near = np.array([np.percentile(frame.depth[frame.depth > 0], 5) for frame in frames])
     assert (near > 200).all() and (near < 450).all()
     assert (np.diff([frame.timestamp for frame in frames]) > 0).all()
+
+
+def test_a_recording_of_broken_frames_alone_is_refused_with_the_first_reason(folder):
+    for path in (folder / "depth").iterdir():
+        path.write_bytes(b"no picture")
+    with pytest.raises(TrackingError, match="no frame can be used; 5 broken frames, the first: .*00000.png"):
+        capture_from(Recording(folder))

@@ -116,7 +116,7 @@ def doubts(judged: Sequence[Judged | None], turned: bool = True) -> str:
     cost = costs(judged)
     if not turned:
         cost[:, :2] = 0.0
-        aside = np.array([face is None or face.angle >= ASIDE for face in judged])
+        aside = np.array([face is None or face.angle >= ASIDE for face in judged], bool)
         cost[aside, 2:] = 0.0  # there the detector guesses
     calm = cost.max(axis=1, initial=0.0) < 1
     return "" if not len(judged) or calm.mean() >= ENOUGH else _trouble(cost)
