@@ -165,16 +165,28 @@ def test_a_sender_whose_clock_stands_still_is_taken_by_arrival():
         assert (steps > 0).all() and 0.15 < steps.sum() < 3.0
 
 
-def test_live_livelink_keeps_a_take_and_sends_on(tmp_path, capsys):
+def send_when_listening(monkeypatch, datagrams: list[bytes]) -> None:
+    """A phone that begins when the command has opened its port, however long that takes."""
+    enter = LiveLinkReceiver.__enter__
+
+    def enter_and_send(self):
+        receiver = enter(self)
+        Phone(receiver.port, datagrams)
+        return receiver
+
+    monkeypatch.setattr(LiveLinkReceiver, "__enter__", enter_and_send)
+
+
+def test_live_livelink_keeps_a_take_and_sends_on(tmp_path, capsys, monkeypatch):
     pytest.importorskip("pythonosc", reason="the extra 'osc' is not installed")
     port, out = free_port(), tmp_path / "take.csv"
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.bind((LOOPBACK, 0))
     frames = [frame(k, jawOpen=k / 40) for k in range(40)]
     lost = LiveLinkFrame(47_000 + 40 / 60, False, np.zeros(52), np.zeros(3), np.zeros(6), "me", "phone")
-    Phone(port, [encode(f) for f in [*frames, lost]])
+    send_when_listening(monkeypatch, [encode(f) for f in [*frames, lost]])
     vmc = str(listener.getsockname()[1])
-    assert cli.main(["live", f"livelink:{port}", "--headless", "--seconds", "3", "--out", str(out), "--vmc", vmc]) == 0
+    assert cli.main(["live", f"livelink:{port}", "--headless", "--seconds", "5", "--out", str(out), "--vmc", vmc]) == 0
     said = capsys.readouterr().out
     assert "this machine only" in said and "0.0.0.0:11111" in said and "41 frames of 'me', 1 without a face" in said
     take = read_take(out)
