@@ -30,6 +30,7 @@ from ..frame import MEDIAPIPE_INDICES, Features2D, RgbdFrame
 from ..mesh import vertex_normals
 from .kept_face import KeptFace, VideoClock
 from .model_file import ENVIRONMENT, face_landmarker_file
+from .windows import Window, own_window, search_windows
 
 #: Behind the nearest surface, this much depth (mm) is taken to be the person when the face is sought in a crop.
 _FOREGROUND_MM = 500.0
@@ -91,6 +92,8 @@ class FeatureDetector:
         self._video = self._load(vision.RunningMode.VIDEO) if video else None
         self._video_size: tuple[int, ...] = ()
         self._clock, self._kept = VideoClock(), KeptFace()
+        self._window: Window | None = None  # the kept face's own, where it is small
+        self._turn = 0
         edges = vision.FaceLandmarksConnections.FACE_LANDMARKS_TESSELATION  # listed triangle by triangle
         self._triangles = np.array([edge.start for edge in edges], np.int32).reshape(-1, 3)
 
@@ -123,29 +126,62 @@ class FeatureDetector:
         """Features in pixels of the frame with their :func:`confidence`; None without a colour image or without a face.
 
         Of several faces the one kept so far (see :class:`KeptFace`). Where the whole image shows no face, the
-        foreground of the depth image is searched again: a face below about a twelfth of the image's width is too small
-        for the detector.
+        foreground of the depth image or, without it, overlapping windows are searched again: a face below about a twelfth
+        of the image's width is too small for the detector. It is then followed in a window of its own. A stream is
+        searched window by window from frame to frame, so that it does not fall behind.
         """
         if frame.colour is None:
             return None
-        meshes = self._detect_stream(frame) if self._video else self.detect_meshes(frame.colour)
-        return self._features(self._kept.choose(meshes or self._in_foreground(frame), frame))
+        mesh = self._follow(frame)
+        if mesh is None:
+            meshes = self._detect_stream(frame) if self._video else self.detect_meshes(frame.colour)
+            meshes = meshes or self._in_foreground(frame)
+            if meshes:  # found as ever, and followed as ever
+                return self._features(self._kept.choose(meshes, frame))
+            mesh = self._kept.choose(self._in_windows(frame, self._next()), frame)
+        if mesh is not None:
+            self._window = own_window(mesh, *frame.colour.shape[:2])
+        return self._features(mesh)
 
     def look(self, frame: RgbdFrame) -> Features2D | None:
         """As :meth:`detect`, for one picture by itself: it neither knows nor remembers any other."""
         if frame.colour is None:
             return None
-        return self._features(KeptFace().choose(self.detect_meshes(frame.colour) or self._in_foreground(frame), frame))
+        meshes = self.detect_meshes(frame.colour) or self._in_foreground(frame) or self._in_windows(frame, None)
+        return self._features(KeptFace().choose(meshes, frame))
 
     def forget(self) -> None:
         """Forget the face that was kept: the next picture is free to show another."""
-        self._kept = KeptFace()
+        self._kept, self._window = KeptFace(), None
+
+    def _follow(self, frame: RgbdFrame) -> np.ndarray | None:
+        """The kept face in its own window; None, and no window any more, where it is not there."""
+        window, self._window = self._window, None
+        if window is None or max(window[2] - frame.colour.shape[1], window[3] - frame.colour.shape[0]) > 0:
+            return None
+        meshes = self._in_window(frame, window)
+        return self._kept.choose(meshes, frame) if meshes else None
+
+    def _next(self) -> int | None:
+        """Which window a stream is searched in this time; None: single images are searched in all of them."""
+        self._turn += 1
+        return self._turn if self._video else None
+
+    def _in_windows(self, frame: RgbdFrame, turn: int | None) -> list[np.ndarray]:
+        windows = search_windows(*frame.colour.shape[:2])
+        for window in windows if turn is None else [windows[turn % len(windows)]]:
+            meshes = self._in_window(frame, window)
+            if meshes:
+                return meshes
+        return []
+
+    def _in_window(self, frame: RgbdFrame, window: Window) -> list[np.ndarray]:
+        u, v, right, bottom = window
+        return [mesh + [u, v, 0] for mesh in self.detect_meshes(frame.colour[v:bottom, u:right])]
 
     def _in_foreground(self, frame: RgbdFrame) -> list[np.ndarray]:
-        u, v, right, bottom = foreground_box(frame.depth)
-        if not 0 < (right - u) * (bottom - v) < 0.6 * frame.depth.size:
-            return []
-        return [mesh + [u, v, 0] for mesh in self.detect_meshes(frame.colour[v:bottom, u:right])]
+        u, v, right, bottom = window = foreground_box(frame.depth)
+        return self._in_window(frame, window) if 0 < (right - u) * (bottom - v) < 0.6 * frame.depth.size else []
 
     def _features(self, mesh: np.ndarray | None) -> Features2D | None:
         return None if mesh is None else Features2D(feature_pixels(mesh), confidence(mesh, self._triangles))
