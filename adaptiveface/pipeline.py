@@ -32,6 +32,7 @@ from .result import Result, ResultBuilder
 from .rows import discard, unfinished_folder
 from .sensors import FrameSource
 from .sensors.orientation import turned
+from .tracking.colour_offset import ColourOffset
 from .tracking.colour_tracker import make_tracker
 from .tracking.types import TrackedFrame
 
@@ -174,6 +175,7 @@ def track_source(
     colour_only = getattr(source, "colour_only", False)
     tracker, watch = make_tracker(actor, parameters, colour_only), SizeWatch(source, actor)
     builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only, folder)
+    offset = ColourOffset(actor)
     try:
         with (
             FrameReader(source, detector) as reader,
@@ -189,6 +191,8 @@ def track_source(
                 watch.see(frame)
                 tracked = tracker.track(frame)
                 builder.add(tracked)
+                if not colour_only:
+                    offset.add(tracked, frame)
                 if on_frame is not None:
                     on_frame(tracked, frame)
     except KeyboardInterrupt as interruption:
@@ -201,6 +205,8 @@ def track_source(
     result = builder.finish(tracker.model.correctives)
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")
+    if note := offset.note(source.name):
+        _log.warning("%s", note)
     return result
 
 

@@ -1,0 +1,41 @@
+"""Colour that does not lie on the depth is said, with the likely cause; colour that does is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+
+import numpy as np
+import pytest
+
+from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.synthetic.sensor import SyntheticSensor
+
+
+class Shifted:
+    """A sensor whose pictures lie ``right`` and ``down`` px beside its depth; its features are the detector's."""
+
+    has_features, fps, name = False, 30.0, "shifted"
+
+    def __init__(self, sensor: SyntheticSensor, right: int, down: int) -> None:
+        self._sensor, self._shift = sensor, (down, right)
+        self.camera, self.depth_scale = sensor.camera, sensor.depth_scale
+
+    def __len__(self) -> int:
+        return 12
+
+    def read(self, index: int):
+        frame = self._sensor.read(index)
+        return dataclasses.replace(frame, features=None, colour=np.roll(frame.colour, self._shift, (0, 1)))
+
+
+@pytest.mark.parametrize(("right", "down", "said"), [(0, 0, False), (20, 0, True), (-20, 0, True)])
+def test_colour_beside_the_depth_is_said(detector, caplog, right, down, said):
+    source = Shifted(SyntheticSensor(4, "structured-light", 8, 30), right, down)
+    actor = capture_from(source, neutral_frames=6, detector=detector)
+    with caplog.at_level(logging.WARNING, "adaptiveface"):
+        result = track_source(source, actor, detector=detector)
+    notes = [r.getMessage() for r in caplog.records if "not registered" in r.getMessage()]
+    assert result.tracked.all() and len(notes) == said
+    if said:
+        assert notes[0].startswith("shifted: features lifted by the depth") and "registration" in notes[0]
