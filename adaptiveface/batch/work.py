@@ -75,7 +75,7 @@ def _work(folder: Path, job: Job) -> dict:
     from ..actor import Actor
     from ..evaluation import ErrorCollector, truth_of
     from ..parameters import Parameters
-    from ..pipeline import capture_from, track_source
+    from ..pipeline import capture_from, track_to_file
     from ..sensors import open_source
 
     parameters = Parameters.from_json(job.parameters)
@@ -85,8 +85,7 @@ def _work(folder: Path, job: Job) -> dict:
     truth = truth_of(source)
     collector = None if truth is None else ErrorCollector(truth, actor, ("v1", "v4"))
     collect = None if collector is None else lambda tracked, _: collector.add(tracked)
-    result = track_source(source, actor, parameters, on_frame=collect)
-    result.save(folder / "result.npz")
+    result = track_to_file(source, actor, folder / "result.npz", parameters, on_frame=collect)
     if not job.actor:
         actor.save(folder / "actor.npz")
     evaluation = None if collector is None else collector.finish()
