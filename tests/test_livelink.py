@@ -128,6 +128,18 @@ def test_eyes_look_where_the_curves_say():
     np.testing.assert_allclose(t.eye_rotations()[0, :, 1, 2], -np.sin(0.556), atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["one-euro", "kalman"])
+def test_smoothing_takes_the_eyes_with_it(tmp_path, kind):
+    rng = np.random.default_rng(5)
+    base = small_take()
+    noisy = LiveLinkTake(base.timestamps, 0 * base.curves, base.head, 0.2 + rng.normal(0, 0.02, (90, 6)), base.tracked)
+    write_take(tmp_path / "take.csv", noisy)
+    assert cli.main(["export", str(tmp_path / "take.csv"), "--format", "arkit-csv", "--filter", kind]) == 0
+    smooth = read_take(tmp_path / "take-arkit.csv").eyes
+    assert smooth[20:].std(axis=0).max() < 0.9 * noisy.eyes[20:].std(axis=0).max()
+    assert smooth[20:].mean() == pytest.approx(0.2, abs=0.01)
+
+
 # ---- files of other kinds ----
 
 

@@ -49,7 +49,8 @@ def avatar_motion(
     facing = np.diag([-1.0, 1.0, -1.0]) if looks_back(file) else np.eye(3)
     view = view_motion(performance.rigid)
     turned = facing @ view[:, :3, :3] @ facing.T
-    gaze = rotations(eye_angles(performance.curves).reshape(-1, 2, 3))
+    eyes = eye_angles(performance.curves) if performance.eyes is None else performance.eyes
+    gaze = rotations(eyes.reshape(-1, 2, 3))
     motion, rest = AvatarMotion(), _rest_rotations(nodes)
     bones = find_bones(file, nodes)
     if "head" in bones and not any(_carriers(nodes, n) & set(nodes.below(bones["head"])) for n in faces):

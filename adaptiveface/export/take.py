@@ -71,7 +71,7 @@ def stream_take(args: argparse.Namespace) -> int:
     _say(take)
     print("\n".join(said(found)))
     turns = take.head_rotations()
-    frames = zip(performance.timestamps, take.tracked, np.clip(performance.curves, 0, 1), turns, take.eyes, strict=True)
+    frames = zip(performance.timestamps, take.tracked, np.clip(performance.curves, 0, 1), turns, performance.eyes, strict=True)
     for time, tracked, curves, turn, eyes in tqdm(frames, total=len(take), unit="frame", disable=None):
         if not args.fast:
             pace.wait(time)

@@ -57,10 +57,11 @@ class Performance:
         return time_table(self.curves, self.timestamps, ARKIT_NAMES)
 
     def smoothed(self, smoothing: Smoothing | None) -> Performance:
-        """The same performance with filtered curves; None leaves them as they are."""
+        """The same performance with filtered curves and measured eyes; None leaves them as they are."""
         if smoothing is None:
             return self
-        return replace(self, curves=np.clip(smoothing.apply(self.curves, self.timestamps), 0, 1))
+        eyes = None if self.eyes is None else smoothing.apply(self.eyes, self.timestamps)
+        return replace(self, curves=np.clip(smoothing.apply(self.curves, self.timestamps), 0, 1), eyes=eyes)
 
 
 def driving_coefficients(result: Result, coefficients: str = "resolved", actor: Actor | None = None) -> np.ndarray:
