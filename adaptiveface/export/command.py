@@ -80,9 +80,9 @@ def run_export(args: argparse.Namespace) -> int:
         print(f"{out}: {len(result)} frames")
         return 0
     if args.format == "glb" and options.avatar:
-        performance = retarget(result, options.coefficients, options.smoothing, actor)
         table = arkit_weights(driving_names(result, options.coefficients))
-        write_avatar(out, options, performance, lambda c: coverage(table, c))
+        write_avatar(out, options, lambda: retarget(result, options.coefficients, options.smoothing, actor),
+                     lambda c: coverage(table, c))  # fmt: skip
         return 0
     mesh = animated(result, actor, options)
     write_mesh(out, mesh, args.format, args.out_unit, args.compact)
@@ -91,12 +91,16 @@ def run_export(args: argparse.Namespace) -> int:
 
 
 def write_avatar(
-    out: Path, options: ExportOptions, performance: Performance, covered: Callable[[Character], list[str]]
+    out: Path, options: ExportOptions, perform: Callable[[], Performance], covered: Callable[[Character], list[str]]
 ) -> None:
-    """The character's own file with the performance added; prints what ``covered`` says, what stays still, and its size."""
+    """The character's own file with a performance added; prints what ``covered`` says, what stays still, and its size.
+
+    ``perform()`` gives the performance, once the character's file is known to be good: it may take seconds.
+    """
     from .avatar import Avatar
 
     avatar = Avatar(options.character, options.unit)
+    performance = perform()
     for line in covered(avatar.character) + avatar.write(out, performance):
         print(line)
     size = size_text(avatar.character.neutral) if avatar.face else "not measured"
@@ -230,7 +234,7 @@ def write_demo_character(name: str, result: Result, actor: Actor, source, folder
     paths = [folder / file for file in demo_character_files(character)]
     mesh = animated_character(result, actor, character, options)
     if options.avatar:
-        write_avatar(paths[0], options, retarget(result, actor=actor), lambda c: list(c.notes))
+        write_avatar(paths[0], options, lambda: retarget(result, actor=actor), lambda c: list(c.notes))
     else:
         write_glb(paths[0], mesh)
     write_performance_video(paths[1], result, [mesh], source, step=2)

@@ -39,7 +39,7 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
     if args.format == "glb" and is_gltf(args.character):
         from .command import ExportOptions, write_avatar
 
-        write_avatar(out, ExportOptions(args.character, unit=unit), performance, lambda c: take_coverage(take, c))
+        write_avatar(out, ExportOptions(args.character, unit=unit), lambda: performance, lambda c: take_coverage(take, c))
         return 0
     character = load_character(args.character, unit)
     for line in take_coverage(take, character):
