@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from .appearance import FIELDS as APPEARANCE_FIELDS
 from .appearance import Appearance
 from .errors import FileFormatError
+from .feature_set import FIELDS as FEATURE_FIELDS
+from .feature_set import FeatureSet, from_arrays
 from .files import replacing
-from .frame import FEATURE_IDS
+from .frame import FEATURE_IDS, LANDMARKS
 from .npz import Field, check_indices, load_checked
 
 #: A rig of 100,000 vertices and 100 expressions has half of it.
 MAX_BYTES = 256 << 20
+#: A set of landmarks is stored under its own names with this in front.
+_LANDMARK = "landmark_"
+_LANDMARK_FIELDS = {_LANDMARK + name: replace(entry, optional=True) for name, entry in FEATURE_FIELDS.items()}
 _FIELDS = {
     "neutral": Field(("N", 3)),
     "blendshapes": Field(("A", "N", 3)),
@@ -30,6 +35,7 @@ _FIELDS = {
     "identity": Field(("M",), optional=True),
     "depth_valid": Field(("N",), "b", optional=True),
     **APPEARANCE_FIELDS,
+    **_LANDMARK_FIELDS,
 }
 
 
@@ -41,7 +47,8 @@ class Actor:
     triangles (T, 3) int32; frontal (N,) bool: the region that deforms; depth_valid (N,) bool: vertices that may take a
     depth correspondence; expression_names (A,); feature_triangles (40, 3), feature_weights (40, 3): the 2D features on
     the surface; scan_points, scan_normals (P, 3): the fused neutral scan; identity (M,): fitted coefficients;
-    appearance: how the neutral looks around its features, where they were detected in colour pictures.
+    appearance: how the neutral looks around its features, where they were detected in colour pictures; landmarks: the
+    detector's other landmarks on this mesh, or None.
     """
 
     neutral: np.ndarray
@@ -57,6 +64,7 @@ class Actor:
     identity: np.ndarray = field(default_factory=lambda: np.zeros(0))
     feature_ids: np.ndarray = field(default_factory=lambda: FEATURE_IDS)
     appearance: Appearance | None = None
+    landmarks: FeatureSet | None = None
 
     @property
     def feature_vertices(self) -> np.ndarray:
@@ -65,9 +73,13 @@ class Actor:
 
     def save(self, path: str | os.PathLike) -> None:
         """Write ``actor.npz`` (float32), whole or not at all."""
-        known = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "appearance"}
+        apart = ("appearance", "landmarks")
+        known = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in apart}
+        known |= self.appearance.arrays() if self.appearance else {}
+        if self.landmarks is not None:
+            known |= {_LANDMARK + name: getattr(self.landmarks, name) for name in FEATURE_FIELDS}
         arrays = {}
-        for name, value in (known | (self.appearance.arrays() if self.appearance else {})).items():
+        for name, value in known.items():
             value = np.asarray(value)
             arrays[name] = value.astype(np.float32) if value.dtype.kind == "f" else value
         with replacing(path) as temporary, open(temporary, "wb") as stream:
@@ -78,7 +90,7 @@ class Actor:
         """Read ``actor.npz``; raises :class:`FileFormatError` naming the file and the array."""
         data = load_checked(path, _FIELDS, max_bytes=MAX_BYTES)
         n = len(data["neutral"])
-        for name in ("triangles", "feature_triangles", *({"appearance_triangles"} & set(data))):
+        for name in ("triangles", "feature_triangles", *({"appearance_triangles", "landmark_triangles"} & set(data))):
             check_indices(path, name, data[name], n)
             data[name] = data[name].astype(np.int32)
         for name, array in data.items():
@@ -87,8 +99,28 @@ class Actor:
         data["expression_names"] = tuple(str(s) for s in data["expression_names"])
         data.setdefault("depth_valid", data["frontal"])
         _check_plausible(path, data)
-        appearance = Appearance.take(path, data)
-        return cls(**data, appearance=appearance)
+        appearance, landmarks = Appearance.take(path, data), _take_landmarks(path, data)
+        return cls(**data, appearance=appearance, landmarks=landmarks)
+
+
+def _take_landmarks(path: str | os.PathLike, data: dict) -> FeatureSet | None:
+    """The stored landmarks, taken out of ``data``; raises :class:`FileFormatError` where they are not whole."""
+    found = {name: data.pop(_LANDMARK + name) for name in FEATURE_FIELDS if _LANDMARK + name in data}
+    if not found:
+        return None
+    missing = [_LANDMARK + name for name in FEATURE_FIELDS if name not in found]
+    if missing:
+        raise FileFormatError(f"{path}: landmarks without the array {missing[0]!r}")
+    weights, deviation, yaw = found["weights"], found["deviation"], found["yaw"]
+    if len(weights) and (weights.min() < -0.01 or np.abs(weights.sum(axis=1) - 1).max() > 0.01):
+        raise FileFormatError(f"{path}: rows of '{_LANDMARK}weights' are not barycentric (0 to 1, sum 1)")
+    if min(deviation.min(initial=1.0), found["personal"].min(initial=1.0)) <= 0:
+        raise FileFormatError(f"{path}: '{_LANDMARK}deviation' or '{_LANDMARK}personal' holds a value that is not positive")
+    if not yaw.size or (np.diff(yaw) <= 0).any() or np.abs(yaw).max() > 180:
+        raise FileFormatError(f"{path}: '{_LANDMARK}yaw' does not rise from -180 to 180 degrees")
+    if len(found["ids"]) and not 0 <= found["ids"].min() <= found["ids"].max() < LANDMARKS:
+        raise FileFormatError(f"{path}: '{_LANDMARK}ids' are not numbers of landmarks, 0 to {LANDMARKS - 1}")
+    return from_arrays(found)
 
 
 def _check_plausible(path: str | os.PathLike, data: dict) -> None:

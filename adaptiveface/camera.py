@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class Camera:
     def matrix(self) -> np.ndarray:
         """(3, 3) projection matrix P of the paper's eq. (2)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def zoomed(self, factor: float) -> Camera:
+        """The same pictures taken with ``factor`` times the focal length."""
+        return replace(self, fx=self.fx * factor, fy=self.fy * factor)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) mm in the camera frame -> pixels (..., 2)."""

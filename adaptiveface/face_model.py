@@ -7,12 +7,13 @@ Q eyeball vertices. Millimetres; head frame with x left-right (the subject's lef
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 
 import numpy as np
 
+from .feature_set import FeatureSet, landmark_set
 from .files import replacing
 from .frame import FEATURE_IDS
 from .npz import Field, check_indices, load_checked
@@ -45,7 +46,8 @@ class FaceModel:
     units; frontal (V,) bool: the region that deforms; depth_valid (V,) bool: vertices that may take a depth
     correspondence (not inner lips, lid rims, hidden skin); feature_triangles (40, 3), feature_weights (40, 3): where
     the 2D features of ``frame.FEATURE_IDS`` sit on the surface. Optional: mirror (V,) the vertex on the other side;
-    eye_mean (Q, 3), eye_modes (M, Q, 3), eye_triangles (U, 3): eyeballs, for pictures only.
+    eye_mean (Q, 3), eye_modes (M, Q, 3), eye_triangles (U, 3): eyeballs, for pictures only; landmarks: the detector's
+    other landmarks on this mesh.
     """
 
     name: str
@@ -64,6 +66,7 @@ class FaceModel:
     eye_mean: np.ndarray | None = None
     eye_modes: np.ndarray | None = None
     eye_triangles: np.ndarray | None = None
+    landmarks: FeatureSet | None = None
 
     @property
     def feature_ids(self) -> np.ndarray:
@@ -117,4 +120,4 @@ def save_face_model(path: str | os.PathLike, model: FaceModel) -> None:
 @lru_cache(maxsize=1)
 def embedded_face_model() -> FaceModel:
     """The model that ships with the package (CC0; made by ``data_synth/build_face_model.py``)."""
-    return load_face_model(str(files("adaptiveface") / "assets" / "face_model.npz"))
+    return replace(load_face_model(str(files("adaptiveface") / "assets" / "face_model.npz")), landmarks=landmark_set())

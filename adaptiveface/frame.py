@@ -20,19 +20,50 @@ MEDIAPIPE_INDICES = np.array(
     np.int32,
 )
 
+#: Landmarks of MediaPipe's face mesh, irises included.
+LANDMARKS = 478
+
 #: Region of each feature in ``FEATURE_IDS``, for reports and weights.
 FEATURE_REGIONS = np.array(["brows"] * 8 + ["eyes"] * 12 + ["lips"] * 20)
+
+
+#: The expression scores that a detector returns beside its landmarks: ARKit's curves but for the tongue, in this order.
+SCORE_NAMES = (
+    "browDownLeft", "browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff",
+    "cheekSquintLeft", "cheekSquintRight", "eyeBlinkLeft", "eyeBlinkRight", "eyeLookDownLeft", "eyeLookDownRight",
+    "eyeLookInLeft", "eyeLookInRight", "eyeLookOutLeft", "eyeLookOutRight", "eyeLookUpLeft", "eyeLookUpRight",
+    "eyeSquintLeft", "eyeSquintRight", "eyeWideLeft", "eyeWideRight", "jawForward", "jawLeft", "jawOpen", "jawRight",
+    "mouthClose", "mouthDimpleLeft", "mouthDimpleRight", "mouthFrownLeft", "mouthFrownRight", "mouthFunnel",
+    "mouthLeft", "mouthLowerDownLeft", "mouthLowerDownRight", "mouthPressLeft", "mouthPressRight", "mouthPucker",
+    "mouthRight", "mouthRollLower", "mouthRollUpper", "mouthShrugLower", "mouthShrugUpper", "mouthSmileLeft",
+    "mouthSmileRight", "mouthStretchLeft", "mouthStretchRight", "mouthUpperUpLeft", "mouthUpperUpRight",
+    "noseSneerLeft", "noseSneerRight",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DetectedFace:
+    """All that a detector found of one face, of which the 40 features are a part.
+
+    ``mesh`` (478, 3): MediaPipe's landmarks, pixels, and depth on their scale; ``scores`` (51,) in [0, 1], its expression
+    scores in the order of ``SCORE_NAMES``, or None.
+    """
+
+    mesh: np.ndarray
+    scores: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Features2D:
     """The 40 facial features of one frame, in the order of ``FEATURE_IDS``.
 
-    ``pixels`` (40, 2) float64 in the depth image, NaN where not seen; ``confidence`` (40,) in [0, 1], 0 where not seen.
+    ``pixels`` (40, 2) float64 in the depth image, NaN where not seen; ``confidence`` (40,) in [0, 1], 0 where not seen;
+    ``face``: everything the detector found beside them, or None where the features came from elsewhere.
     """
 
     pixels: np.ndarray
     confidence: np.ndarray
+    face: DetectedFace | None = None
 
     @property
     def valid(self) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,7 +25,7 @@ from .frame import Features2D, RgbdFrame
 from .landmarks import FeatureDetector, Upright
 from .mesh import surface_points
 from .neutral.capture import capture_actor
-from .neutral.colour import capture_colour_actor
+from .neutral.colour import capture_colour
 from .neutral.plausible import SizeWatch
 from .neutral.take import NeutralTake, face_found, neutral_of
 from .parameters import Parameters
@@ -125,12 +126,16 @@ def capture_from(
     ``neutral_frames``: how many of the leading frames in which a face is found, or where these are turned away or moving,
     of the calmest ones near the beginning (:mod:`~adaptiveface.neutral.choice`), which is said; a range: these very
     frames; None: all frames, at most ``MAX_NEUTRAL_FRAMES`` of them, spread evenly. From a source without depth
-    (``colour_only``) comes the average head with the person's proportions (``neutral/colour.py``). ``model``: the embedded
-    one by default. ``progress`` shows bars on stderr. ``on_take`` is told which frames were taken. Raises
-    :class:`TrackingError` when no face is found, and its kind
+    (``colour_only``) comes the average head with the person's proportions, of frames from all over it unless a range names
+    them: none need be neutral (``neutral/colour.py``). ``model``: the embedded one by default. ``progress`` shows bars on
+    stderr. ``on_take`` is told which frames were taken. Raises :class:`TrackingError` when no face is found, and its kind
     :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` for a head that is no person's.
     """
     model, parameters = model or embedded_face_model(), parameters or Parameters()
+    colour_only = getattr(source, "colour_only", False)
+    anywhere = colour_only and not getattr(source, "has_features", False) and not isinstance(neutral_frames, range)
+    if anywhere:
+        neutral_frames = range(0, len(source), max(1, math.ceil(len(source) / MAX_NEUTRAL_FRAMES)))
     count = neutral_frames if isinstance(neutral_frames, int) else None
     reading = {"total": count, "desc": "reading the neutral", "unit": "frame", "leave": False}
     points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
@@ -140,16 +145,28 @@ def capture_from(
         raise reader.fail("no frame can be used")
     if not any(map(face_found, take.frames)):
         raise reader.fail(f"no face found in any of {reader.reads} frames")
-    if getattr(source, "colour_only", False):
-        actor = capture_colour_actor(take.frames, model, parameters)
+    if colour_only:
+        actor = _capture_colour(source, take.frames, model, parameters)
     else:
         with one_blas_thread(), _capture_bar(progress) as report:
             actor = capture_actor(take.frames, model, parameters, report, source)
+    if anywhere:
+        take = dataclasses.replace(take, note="")  # they may do what they like
     if take.note:
         _log.warning("%s: %s", source.name, take.note)
     if on_take is not None:
         on_take(take)
     return actor
+
+
+def _capture_colour(source, frames: list[RgbdFrame], model: FaceModel | None, parameters: Parameters) -> Actor:
+    """The actor of a source without depth. A focal length that was a guess, and cannot be, is set right in the source."""
+    guessed = getattr(source, "guessed_camera", False)
+    with one_blas_thread():
+        capture = capture_colour(frames, model, parameters, guessed)
+    if guessed:
+        source.camera = source.camera.zoomed(capture.focal)
+    return capture.actor
 
 
 def track_source(

@@ -15,7 +15,7 @@ FLOORS = (
         *("errors", "files", "npz", "caches", "blas", "interrupt"),
         *("stages", "parameters"),
         "timing",
-        *("camera", "frame", "mesh", "rendering", "painting", "appearance"),
+        *("camera", "frame", "mesh", "rendering", "painting", "appearance", "feature_set"),
         *("lab", "livelink"),
     ),
     ("face_model", "actor", "blendshapes"),

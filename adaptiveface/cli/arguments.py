@@ -11,7 +11,7 @@ from ..export.arguments import add_field_of_view
 
 def add_source(command: argparse.ArgumentParser) -> None:
     """``SOURCE``, numbered frames."""
-    text = "a recording folder, a video (colour only), or synthetic[:SEED[:NOISE]]"
+    text = "a recording folder, a video (colour only), or synthetic[:SEED[:NOISE]][@take.csv]"
     command.add_argument("source", metavar="SOURCE", help=text)
     add_field_of_view(command)
     add_mirrored(command)

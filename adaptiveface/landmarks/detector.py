@@ -20,13 +20,14 @@ import weakref
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import as_file, files
 
 import numpy as np
 
 from ..errors import SYSTEM_LIBRARIES_HINT, FeatureDetectionError, MissingExtraError
-from ..frame import MEDIAPIPE_INDICES, Features2D, RgbdFrame
+from ..frame import MEDIAPIPE_INDICES, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
 from ..mesh import vertex_normals
 from .kept_face import KeptFace, VideoClock
 from .model_file import ENVIRONMENT, face_landmarker_file
@@ -100,8 +101,9 @@ class FeatureDetector:
     def _load(self, mode):
         """A landmarker of MediaPipe in one of its running modes, with its threads started."""
         options = self._vision.FaceLandmarkerOptions(
-            base_options=self._base_options(model_asset_path=self._path), running_mode=mode, num_faces=MAX_FACES
-        )
+            base_options=self._base_options(model_asset_path=self._path), running_mode=mode, num_faces=MAX_FACES,
+            output_face_blendshapes=True,
+        )  # fmt: skip
         try:
             with _native_stderr_closed():
                 landmarker = self._vision.FaceLandmarker.create_from_options(options)
@@ -132,70 +134,77 @@ class FeatureDetector:
         """
         if frame.colour is None:
             return None
-        mesh = self._follow(frame)
-        if mesh is None:
-            meshes = self._detect_stream(frame) if self._video else self.detect_meshes(frame.colour)
-            meshes = meshes or self._in_foreground(frame)
-            if meshes:  # found as ever, and followed as ever
-                return self._features(self._kept.choose(meshes, frame))
-            mesh = self._kept.choose(self._in_windows(frame, self._next()), frame)
-        if mesh is not None:
-            self._window = own_window(mesh, *frame.colour.shape[:2])
-        return self._features(mesh)
+        face = self._follow(frame)
+        if face is None:
+            faces = self._detect_stream(frame) if self._video else self.detect_faces(frame.colour)
+            faces = faces or self._in_foreground(frame)
+            if faces:  # found as ever, and followed as ever
+                return self._features(_choose(self._kept, faces, frame))
+            face = _choose(self._kept, self._in_windows(frame, self._next()), frame)
+        if face is not None:
+            self._window = own_window(face.mesh, *frame.colour.shape[:2])
+        return self._features(face)
 
     def look(self, frame: RgbdFrame) -> Features2D | None:
         """As :meth:`detect`, for one picture by itself: it neither knows nor remembers any other."""
         if frame.colour is None:
             return None
-        meshes = self.detect_meshes(frame.colour) or self._in_foreground(frame) or self._in_windows(frame, None)
-        return self._features(KeptFace().choose(meshes, frame))
+        faces = self.detect_faces(frame.colour) or self._in_foreground(frame) or self._in_windows(frame, None)
+        return self._features(_choose(KeptFace(), faces, frame))
 
     def forget(self) -> None:
         """Forget the face that was kept: the next picture is free to show another."""
         self._kept, self._window = KeptFace(), None
 
-    def _follow(self, frame: RgbdFrame) -> np.ndarray | None:
+    def _follow(self, frame: RgbdFrame) -> DetectedFace | None:
         """The kept face in its own window; None, and no window any more, where it is not there."""
         window, self._window = self._window, None
         if window is None or max(window[2] - frame.colour.shape[1], window[3] - frame.colour.shape[0]) > 0:
             return None
-        meshes = self._in_window(frame, window)
-        return self._kept.choose(meshes, frame) if meshes else None
+        faces = self._in_window(frame, window)
+        return _choose(self._kept, faces, frame) if faces else None
 
     def _next(self) -> int | None:
         """Which window a stream is searched in this time; None: single images are searched in all of them."""
         self._turn += 1
         return self._turn if self._video else None
 
-    def _in_windows(self, frame: RgbdFrame, turn: int | None) -> list[np.ndarray]:
+    def _in_windows(self, frame: RgbdFrame, turn: int | None) -> list[DetectedFace]:
         windows = search_windows(*frame.colour.shape[:2])
         for window in windows if turn is None else [windows[turn % len(windows)]]:
-            meshes = self._in_window(frame, window)
-            if meshes:
-                return meshes
+            faces = self._in_window(frame, window)
+            if faces:
+                return faces
         return []
 
-    def _in_window(self, frame: RgbdFrame, window: Window) -> list[np.ndarray]:
+    def _in_window(self, frame: RgbdFrame, window: Window) -> list[DetectedFace]:
         u, v, right, bottom = window
-        return [mesh + [u, v, 0] for mesh in self.detect_meshes(frame.colour[v:bottom, u:right])]
+        found = self.detect_faces(frame.colour[v:bottom, u:right])
+        return [replace(face, mesh=face.mesh + [u, v, 0]) for face in found]
 
-    def _in_foreground(self, frame: RgbdFrame) -> list[np.ndarray]:
+    def _in_foreground(self, frame: RgbdFrame) -> list[DetectedFace]:
         u, v, right, bottom = window = foreground_box(frame.depth)
         return self._in_window(frame, window) if 0 < (right - u) * (bottom - v) < 0.6 * frame.depth.size else []
 
-    def _features(self, mesh: np.ndarray | None) -> Features2D | None:
-        return None if mesh is None else Features2D(feature_pixels(mesh), confidence(mesh, self._triangles))
+    def _features(self, face: DetectedFace | None) -> Features2D | None:
+        if face is None:
+            return None
+        return Features2D(feature_pixels(face.mesh), confidence(face.mesh, self._triangles), face)
 
     def detect_meshes(self, colour: np.ndarray) -> list[np.ndarray]:
-        """(478, 3) landmarks of every face in ``colour`` (H, W, 3) uint8 RGB: pixels, and depth on their scale.
+        """(478, 3) landmarks of every face in ``colour`` (H, W, 3) uint8 RGB, as in :meth:`detect_faces`."""
+        return [face.mesh for face in self.detect_faces(colour)]
+
+    def detect_faces(self, colour: np.ndarray) -> list[DetectedFace]:
+        """Every face in ``colour`` (H, W, 3) uint8 RGB: landmarks in pixels with depth on their scale, and scores.
 
         MediaPipe's coordinate times the image's width counts from the first pixel's centre, as ours do (measured: in
         images enlarged 4 times they move by the 3/8 pixel that this convention implies).
         """
         return _in_pixels(self._landmarker.detect(self._image(colour)), colour.shape)
 
-    def _detect_stream(self, frame: RgbdFrame) -> list[np.ndarray]:
-        """As :meth:`detect_meshes`, for the next frame of a stream."""
+    def _detect_stream(self, frame: RgbdFrame) -> list[DetectedFace]:
+        """As :meth:`detect_faces`, for the next frame of a stream."""
         if self._video_size not in ((), frame.colour.shape):  # where the faces were is stored as a share of the image
             _close(self._video)
             self._loaded.remove(self._video)
@@ -203,6 +212,11 @@ class FeatureDetector:
         self._video_size = frame.colour.shape
         found = self._video.detect_for_video(self._image(frame.colour), self._clock.tick(frame.timestamp))
         return _in_pixels(found, frame.colour.shape)
+
+
+def _choose(kept: KeptFace, faces: list[DetectedFace], frame: RgbdFrame) -> DetectedFace | None:
+    mesh = kept.choose([face.mesh for face in faces], frame)
+    return next((face for face in faces if face.mesh is mesh), None)
 
 
 @lru_cache(maxsize=1)
@@ -217,9 +231,16 @@ def feature_pixels(mesh: np.ndarray) -> np.ndarray:
     return places @ mesh[: places.shape[1], :2]
 
 
-def _in_pixels(found, shape: tuple[int, ...]) -> list[np.ndarray]:
+def _in_pixels(found, shape: tuple[int, ...]) -> list[DetectedFace]:
     scale = [shape[1], shape[0], shape[1]]
-    return [np.array([(point.x, point.y, point.z) for point in face]) * scale for face in found.face_landmarks]
+    meshes = [np.array([(point.x, point.y, point.z) for point in face]) * scale for face in found.face_landmarks]
+    return [DetectedFace(mesh, _scores(face)) for mesh, face in zip(meshes, found.face_blendshapes, strict=True)]
+
+
+def _scores(categories) -> np.ndarray:
+    """(51,) scores in the order of ``SCORE_NAMES``; 0 for one that the model file does not give."""
+    found = {category.category_name: category.score for category in categories}
+    return np.array([found.get(name, 0.0) for name in SCORE_NAMES])
 
 
 def confidence(mesh: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..face_model import FaceModel, embedded_face_model
 from ..frame import RgbdFrame
 from ..parameters import Parameters
 from .appearance import gather_appearance
-from .features import FeatureConstraints, calibrated_features, constraints_on
+from .features import FeatureConstraints, calibrated_features, calibrated_landmarks, constraints_on
 from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
 from .plausible import ImplausibleFaceError, check_fit, say_doubtful_size
@@ -79,7 +79,8 @@ def capture_neutral(
     actor = build_actor(model, wrap.vertices, scan, fit.identity)
     constraints = constraints_on(scan, model, wrap.vertices)
     places = calibrated_features(constraints, model, wrap.vertices, parameters.shrink_wrap.feature_shift)
-    actor = replace(actor, feature_triangles=places[0], feature_weights=places[1])
+    landmarks = calibrated_landmarks(scan, model, wrap.vertices)
+    actor = replace(actor, feature_triangles=places[0], feature_weights=places[1], landmarks=landmarks)
     if constraints.trust < 1.0:  # detected, with errors of their own
         actor = replace(actor, appearance=_appearance(actor, frames, scan, parameters))
     report("blendshapes", 1.0)
@@ -108,6 +109,7 @@ def build_actor(model: FaceModel, neutral: np.ndarray, scan: FusedScan | None = 
         scan_points=empty if scan is None else scan.points,
         scan_normals=empty if scan is None else scan.normals,
         identity=np.zeros(0) if identity is None else np.asarray(identity, float),
+        landmarks=model.landmarks,
     )
 
 

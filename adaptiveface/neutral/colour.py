@@ -1,27 +1,30 @@
-"""The neutral without depth: what the 2D features of a few neutral frames tell about a person.
+"""The neutral without depth: what the 2D features of some frames tell about a person.
 
-The poses of the frames and the identity coefficients are solved together (bundle adjustment on the model's features,
-with the coefficients' Gaussian prior). The head's size is unknowable from pictures: a larger head farther away looks the
-same. It stays that of the average head.
+Where the detector's landmarks are at hand, identity, poses and expressions of all frames are solved together
+(``neutral/bundle.py``), so that no frame need be neutral. From the 40 features alone, poses and identity of neutral frames
+are. The head's size is unknowable from pictures: a larger head farther away looks the same. It stays that of the average
+head.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..actor import Actor
 from ..errors import TrackingError
 from ..face_model import FaceModel, embedded_face_model
-from ..frame import RgbdFrame
+from ..frame import SCORE_NAMES, DetectedFace, RgbdFrame
 from ..mesh import surface_points, transform_points
 from ..parameters import Parameters
+from ..tracking.bounded import bounded_least_squares
 from ..tracking.detection import pose_from_features
 from ..tracking.expression import CROSS
 from ..tracking.feature_rows import feature_rows
 from ..tracking.rigid import apply_rigid_update
+from .bundle import Bundle, View, solve_bundle
 from .capture import build_actor
 from .features import calibrated_features, constraints_on
 from .fuse import FusedScan
@@ -32,16 +35,55 @@ DEFAULTS = Parameters()
 FEATURE_SIGMA, ROUNDS = 1.1, 8
 #: What many frames say alike counts as this many independent ones: a detector's errors stay from frame to frame.
 INDEPENDENT_FRAMES = 4.0
+#: Frames that are solved together: more take time and tell little.
+MAX_VIEWS = 36
+#: Nobody sits nearer to a camera than the first; where a guessed focal length says so, the second is taken instead, mm.
+NEAREST, USUAL = 260.0, 450.0
+
+
+@dataclass(frozen=True)
+class ColourCapture:
+    """``actor``; ``focal``: what the focal length of the frames' camera is to be multiplied by (1: it was known)."""
+
+    actor: Actor
+    focal: float = 1.0
 
 
 def capture_colour_actor(
     frames: Sequence[RgbdFrame], model: FaceModel | None = None, parameters: Parameters = DEFAULTS
 ) -> Actor:
-    """The average head with a person's proportions, as far as the 2D features of neutral ``frames`` tell them.
+    """The actor of :func:`capture_colour`, of frames of a calibrated camera."""
+    return capture_colour(frames, model, parameters).actor
 
-    Raises :class:`TrackingError` when no frame shows a face.
+
+def capture_colour(
+    frames: Sequence[RgbdFrame],
+    model: FaceModel | None = None,
+    parameters: Parameters = DEFAULTS,
+    guessed_focal: bool = False,
+) -> ColourCapture:
+    """The average head with a person's proportions, as far as the 2D features of ``frames`` tell them.
+
+    Parameters
+    ----------
+    frames : of one person. With the detector's landmarks in any expression, the more different ones the better; with the
+        40 features alone, neutral.
+    guessed_focal : nobody calibrated the camera; where its focal length would put the head nearer than anybody sits, the
+        pictures were cropped, and it is raised.
+
+    Raises
+    ------
+    TrackingError
+        No frame shows a face.
     """
     model = embedded_face_model() if model is None else model
+    if model.landmarks is not None and any(frame.features is not None and frame.features.face for frame in frames):
+        return _from_landmarks(frames, model, parameters, guessed_focal)
+    return ColourCapture(_from_features(frames, model, parameters))
+
+
+def _from_features(frames: Sequence[RgbdFrame], model: FaceModel, parameters: Parameters) -> Actor:
+    """From the 40 features of neutral frames."""
     identity, seen, poses = fit_identity_to_features(frames, model, parameters.fit.modes)
     check_identity(identity)
     neutral = model.neutral(identity)
@@ -54,6 +96,60 @@ def capture_colour_actor(
     constraints = constraints_on(rays, model, neutral)
     places = calibrated_features(constraints, model, neutral, parameters.shrink_wrap.feature_shift)
     return replace(actor, feature_triangles=places[0], feature_weights=places[1])
+
+
+def _from_landmarks(frames, model: FaceModel, parameters: Parameters, guessed_focal: bool) -> ColourCapture:
+    """From the detector's landmarks of frames in any expression."""
+    focal = focal_factor(frames, model) if guessed_focal else 1.0
+    frames = [replace(frame, camera=frame.camera.zoomed(focal)) for frame in frames]
+    solved = solve_frames(frames, model, parameters.fit.modes)
+    neutral, landmarks = model.neutral(solved.identity), model.landmarks
+    offset = landmarks.offset.copy()
+    offset[~landmarks.held_out] += solved.offsets
+    actor = replace(build_actor(model, neutral, identity=solved.identity), landmarks=replace(landmarks, offset=offset))
+    return ColourCapture(actor, focal)
+
+
+def focal_factor(frames: Sequence[RgbdFrame], model: FaceModel) -> float:
+    """What a guessed focal length is to be multiplied by: 1, or more where the head would be nearer than ``NEAREST``.
+
+    Solving it from the perspective in the face was tried and left out: a video without a turn of the head halved it.
+    """
+    points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    poses = [pose_from_features(_without_depth(frame), points) for frame in frames if frame.features is not None]
+    distance = np.median([pose[2, 3] for pose in poses if pose is not None] or [USUAL])
+    return USUAL / float(distance) if distance < NEAREST else 1.0
+
+
+def solve_frames(frames: Sequence[RgbdFrame], model: FaceModel, modes: int) -> Bundle:
+    """:func:`solve_bundle` of at most ``MAX_VIEWS`` of the frames that show a face, spread evenly.
+
+    Raises :class:`TrackingError` when none does.
+    """
+    landmarks = model.landmarks.fitted
+    feature_points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    seen = [frame for frame in frames if frame.features is not None and frame.features.face is not None]
+    seen = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, min(len(seen), MAX_VIEWS)).round().astype(int))]
+    views, poses = [], []
+    for frame in seen:
+        pose = pose_from_features(_without_depth(frame), feature_points)
+        if pose is not None:
+            poses.append(pose)
+            views.append(View(landmarks.pixels(frame.features), frame.camera, scored_coefficients(frame.features.face, model)))
+    if not views:
+        raise TrackingError(f"no face found in any of {len(frames)} frames")
+    return solve_bundle(model, landmarks, views, np.array(poses), modes)
+
+
+def scored_coefficients(face: DetectedFace, model: FaceModel) -> np.ndarray:
+    """(A,) coefficients of the generic expressions that come closest to the detector's scores; zeros without scores."""
+    if face.scores is None:
+        return np.zeros(len(model.generic_weights))
+    score = dict(zip(SCORE_NAMES, face.scores, strict=True))
+    wanted = np.array([score.get(name, 0.0) for name in model.expression_names])
+    gram = model.generic_weights @ model.generic_weights.T + 0.1 * np.eye(len(model.generic_weights))
+    bounds = np.zeros(len(gram)), np.ones(len(gram))
+    return bounded_least_squares(gram, model.generic_weights @ wanted, *bounds)
 
 
 def fit_identity_to_features(

@@ -7,11 +7,13 @@ the point-to-point 2D feature constraints of section 3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..face_model import FaceModel
+from ..feature_set import FeatureSet
+from ..frame import Features2D
 from ..mesh import surface_points, vertex_normals
 from .fuse import FusedScan
 
@@ -135,6 +137,38 @@ def calibrated_features(
         if np.isfinite(energy[t, s]):
             triangles_out[f], weights_out[f] = near[t], samples[s]
     return triangles_out, weights_out
+
+
+#: Frames of a neutral scan count as at most this many independent ones for the place of a landmark.
+INDEPENDENT = 40.0
+#: Along the view landmarks lie apart between persons this many times as far as across it.
+ALONG = 1.0
+
+
+def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray) -> FeatureSet | None:
+    """The model's landmarks with the offsets at which this person's detections see them in the frames of the scan.
+
+    vertices (V, 3) in the scan frame, which is the head's. What is held out of fits keeps the offset that it has on
+    everybody, so that it goes on measuring. Unchanged for frames that no detector has seen, None for a model without any.
+    """
+    landmarks = model.landmarks
+    if landmarks is None or not any(features is not None and features.face is not None for features in scan.features):
+        return landmarks
+    seen = tuple(
+        None if features is None or features.face is None
+        else Features2D(landmarks.pixels(features), landmarks.trust(pose))
+        for features, pose in zip(scan.features, scan.poses, strict=True)
+    )  # fmt: skip
+    placed = replace(model, feature_triangles=landmarks.triangles, feature_weights=landmarks.weights)
+    constraints = constraints_on(replace(scan, features=seen), placed, vertices)
+    count = min(float(sum(features is not None for features in seen)), INDEPENDENT)
+    points = landmarks.points(vertices)
+    prior = 1.0 / (landmarks.personal[:, None] * [1.0, 1.0, ALONG]) ** 2
+    evidence = count * constraints.seen / landmarks.deviations(0.0) ** 2
+    h = evidence[:, None, None] * constraints.A + prior[:, :, None] * np.eye(3)
+    g = evidence[:, None] * constraints.b + prior * (points + landmarks.offset)
+    offset = np.linalg.solve(h, g[..., None])[..., 0] - points
+    return replace(landmarks, offset=np.where(landmarks.held_out[:, None], landmarks.offset, offset))
 
 
 def surface_patch(triangles, vertices, start, home, limit) -> np.ndarray:

@@ -26,7 +26,7 @@ NOISES = tuple(DEPTH_SCALES)
 
 _POSSIBLE = (
     "possible sources: a recording folder (with intrinsic.json, depth/, color/), a Record3D file (.r3d), "
-    f"'synthetic' or 'synthetic:SEED[:NOISE]' (NOISE: {', '.join(NOISES)}), "
+    f"'synthetic' or 'synthetic:SEED[:NOISE][@take.csv]' (NOISE: {', '.join(NOISES)}; a Live Link Face CSV to perform), "
     f"a video, colour only ({', '.join(VIDEO_SUFFIXES)}); with ',mirrored' at the end pictures are flipped"
 )
 
@@ -53,7 +53,7 @@ class FrameSource(Protocol):
 
 
 def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
-    """The source named by ``text``: a recording folder, an .r3d file, a video, ``synthetic[:SEED[:NOISE]]``.
+    """The source named by ``text``: a recording folder, an .r3d file, a video, ``synthetic[:SEED[:NOISE]][@take.csv]``.
 
     ``,mirrored`` at the end of any of them flips its frames: recordings as in a mirror, as selfie videos are.
     ``field_of_view`` of a video, degrees across the longer side; None: see :class:`.video_file.VideoFile`. Raises
@@ -91,13 +91,17 @@ def _open(text: str, field_of_view: float | None) -> FrameSource:
 
 def _synthetic(text: str) -> FrameSource:
     from ..synthetic.sensor import SyntheticSensor
+    from ..synthetic.take import read_take
 
-    seed, _, noise = text.partition(":")[2].partition(":")
+    performer, at, take = text.partition(":")[2].partition("@")
+    seed, _, noise = performer.partition(":")
     if seed and not (seed.isdecimal() and len(seed) <= 9):
         raise ParameterError(f"{text}: the seed {seed!r} is not a whole number of at most 9 digits; {_POSSIBLE}")
     if noise and noise not in NOISES:
         raise ParameterError(f"{text}: unknown noise {noise!r}; {_POSSIBLE}")
-    return SyntheticSensor(seed=int(seed or 0), noise=noise or NOISES[0])
+    if at and not take:
+        raise ParameterError(f"{text}: the name of a Live Link Face CSV is expected after the @; {_POSSIBLE}")
+    return SyntheticSensor(seed=int(seed or 0), noise=noise or NOISES[0], take=read_take(take) if at else None)
 
 
 __all__ = [

@@ -35,7 +35,8 @@ class VideoFile:
     ``field_of_view`` degrees across the longer side; None: of an intrinsic.json beside the file, else 60. ``mirrored``
     flips the pictures, for videos recorded as in a mirror. ``len()``: the frames that play, without those that an edit list
     leaves out and those behind the place where a file is cut off; ``timestamps`` (len,) s: when each is shown, from the
-    first; ``notes``: what is missing. Raises :class:`FileFormatError`, and :class:`MissingExtraError` without PyAV.
+    first; ``notes``: what is missing; ``guessed_camera``: no file and no field of view says what ``camera`` is. Raises
+    :class:`FileFormatError`, and :class:`MissingExtraError` without PyAV.
     """
 
     colour_only, has_features = True, False
@@ -56,7 +57,9 @@ class VideoFile:
         if first is None:
             raise FileFormatError(f"{self.path}: not a video that can be decoded, or one without pictures")
         height, width = first.shape[:2]
-        self.camera = calibration_for(width, height, self.path.parent / "intrinsic.json", field_of_view)
+        intrinsics = self.path.parent / "intrinsic.json"
+        self.camera = calibration_for(width, height, intrinsics, field_of_view)
+        self.guessed_camera = field_of_view is None and not intrinsics.is_file()
         missing = index.stated - len(self)
         self.notes = (f"{self.path}: is cut off: {len(self)} of its {index.stated} frames can be read",) if missing > 1 else ()
 

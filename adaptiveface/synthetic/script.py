@@ -139,6 +139,7 @@ class HeadMotion:
 
     During the first ``neutral_frames`` the head turns slowly left, right, up and down (12 degrees yaw, 7 pitch); then
     it moves freely within 20 degrees yaw, 10 pitch, 8 roll and a few centimetres. ``distance`` mm from the camera.
+    ``turns`` (F, 3): yaw, pitch and roll in degrees of the frames after the neutral ones, in place of the free turning.
     """
 
     seed: int
@@ -146,6 +147,7 @@ class HeadMotion:
     fps: float
     distance: float
     pivot: tuple[float, float, float] = (0.0, -50.0, -80.0)
+    turns: np.ndarray | None = None
 
     def pose(self, frame: float) -> np.ndarray:
         """(4, 4) rigid transform from the head to the camera at a (fractional) frame."""
@@ -175,4 +177,6 @@ class HeadMotion:
             period = pace * periods * rng.uniform(0.85, 1.2, 6)
             values += share * np.sin(2 * np.pi * seconds / period + rng.uniform(0, 2 * np.pi, 6))
         values *= limits * rng.uniform(0.8, 1.0, 6) * ramp
+        if self.turns is not None and len(self.turns):
+            values[:3] = ramp * self.turns[int(np.clip(round(frame) - self.neutral_frames, 0, len(self.turns) - 1))]
         return values[0], values[1], values[2], values[3:]

@@ -22,6 +22,7 @@ from .paint import Painter
 from .performer import Performer
 from .scene import Scene
 from .script import HeadMotion, performance
+from .take import Take
 
 #: A feature that lies this far behind the visible surface cannot be seen, mm. Lips roll inwards: they are given more.
 OCCLUSION = np.where(FEATURE_REGIONS == "lips", 10.0, 5.0)
@@ -49,6 +50,7 @@ class SyntheticSensor:
     times, with head motion and noise of their own. Frames are a function of (seed, index): any order, as often as
     wanted.
 
+    ``take``: a real take that is performed in place of the script, once; ``frames`` and ``repeats`` are those of the take.
     ``noise``: "structured-light", "truedepth" or "none"; ``feature_noise``: standard deviation of the 2D features,
     pixels per coordinate; ``colour=False`` leaves the pictures out (faster); ``focal`` px at 640 pixels of width;
     ``distance`` mm; ``performer`` replaces the one drawn from ``seed`` and ``model``.
@@ -63,7 +65,7 @@ class SyntheticSensor:
         self, seed: int = 0, noise: str = "structured-light", neutral_frames: int = 40, frames: int = 300,
         repeats: int = 2, width: int = 640, height: int = 480, feature_noise: float = 0.5, *, colour: bool = True,
         focal: float = 525.0, distance: float = 600.0, model: FaceModel | None = None,
-        performer: Performer | None = None,
+        performer: Performer | None = None, take: Take | None = None,
     ) -> None:
         if noise not in DEPTH_SCALES:
             raise ParameterError(f"noise = {noise!r}: one of {', '.join(DEPTH_SCALES)} is expected")
@@ -71,13 +73,19 @@ class SyntheticSensor:
             raise ParameterError("neutral_frames, frames, repeats and feature_noise must not be negative")
         self.seed, self.noise, self.feature_noise, self.colour = seed, noise, feature_noise, colour
         self.neutral_frames, self.frames, self.repeats = neutral_frames, frames, repeats
-        self.name = f"synthetic performer {seed}, {noise} noise"
+        self.name = f"synthetic performer {seed}, {noise} noise" + (f", take {take.name}" if take else "")
         self.depth_scale = DEPTH_SCALES[noise]
         f = focal * width / 640
         self.camera = Camera(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
         self.performer = Performer(seed, model) if performer is None else performer
-        self.script = performance(seed, self.performer.expression_names, frames)
-        self._motion = HeadMotion(seed, neutral_frames, self.fps, distance)
+        turns = None
+        if take is None:
+            self.script = performance(seed, self.performer.expression_names, frames)
+        else:
+            self.script, self.repeats = take.activations(self.performer.expression_names, self.fps), 1
+            self.frames = len(self.script)
+            turns = take.head_turns(self.fps) if take.turns else None
+        self._motion = HeadMotion(seed, neutral_frames, self.fps, distance, turns=turns)
         self._scene = Scene(self.performer, self._motion.pose(0))
         self._painter = Painter(self._scene, seed, self.camera) if colour else None
         self._feature_drift = _drift(np.random.default_rng([seed, 0xD21F]))

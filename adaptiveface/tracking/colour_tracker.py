@@ -1,5 +1,8 @@
 """Tracking without depth: the 2D features alone drive pose, expression and deformation. Degraded, and it says so.
 
+Where the frames bring the detector's landmarks, those of the actor's set take the place of the 40 features, each weighed by
+its measured reliability: nose and jaw tell a mouth that opens from a head that tips back, which the 40 cannot.
+
 What a colour camera cannot tell stays as it is: the size of the head and with it its distance (the rig's are taken),
 motion along the viewing direction, and everything between the features. Nothing is learned: a corrective needs depth.
 """
@@ -29,22 +32,40 @@ ALONE = 1.0 / 0.3
 #: Then all weigh less against the penalties than beside depth: wrong by a pixel, they would bend the face.
 TRUST = 0.15
 #: Penalties on the head's motion from frame to frame, per rad^2 and per mm^2, in the units of equation (1).
-TURN, SHIFT = 3000.0, 0.05
+TURN, SHIFT = 300.0, 0.005
 #: A face is seen from this many features on.
 MIN_FEATURES = 6
 #: Rounds of the joint fit where the pose was found anew: it starts farther away.
 FIRST_ROUNDS = 3
+#: Neighbouring landmarks err alike: together they count as this share of independent ones.
+SHARE = 0.3
+#: What a confidence of 1 amounts to at the reference focal length, 1/mm^2.
+CERTAIN = 5e-5 * REFERENCE_FOCAL**2
 
 
 class ColourTracker(FaceTracker):
     """As :class:`FaceTracker`, on frames without depth. Section 4 with equation (1)'s feature rows only and w1 = 0."""
+
+    def __init__(self, actor: Actor, parameters: Parameters | None = None) -> None:
+        given, self.landmarks = actor, None if actor.landmarks is None else actor.landmarks.fitted
+        if self.landmarks is not None:
+            # The 40 serve where a frame has no landmarks: recorded or synthetic ones.
+            triangles = np.concatenate([actor.feature_triangles, self.landmarks.triangles])
+            weights = np.concatenate([actor.feature_weights, self.landmarks.weights])
+            actor = dataclasses.replace(actor, feature_triangles=triangles, feature_weights=weights)
+        super().__init__(actor, parameters)
+        self.given = given
+
+    def refine_with(self, parameters: Parameters) -> None:
+        """The refinement of the 40 by the neutral's colours is for trackers that know the pose by depth."""
+        self.refinement = None
 
     def track(self, frame: RgbdFrame) -> TrackedFrame:
         """Pose and expression of one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
         ms = dict.fromkeys(STAGE_NAMES, 0.0)
         if frame.features is None or frame.features.valid.sum() < MIN_FEATURES:
             return self._lose(frame, ms, NO_FACE)
-        frame = at_reference_focal(frame)
+        frame = self._observed(frame)
         with timed(ms, "rigid"):
             pose, rounds = self._find_pose(frame)
         if pose is None:
@@ -72,6 +93,22 @@ class ColourTracker(FaceTracker):
             frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, SampleState.IN_ANCHOR_SPACE,
             self.model.updates, anchor_distance=anchor, adaptive_distance=adaptive, stage_ms=ms,
         )  # fmt: skip
+
+    def _observed(self, frame: RgbdFrame) -> RgbdFrame:
+        """The frame at the reference focal length; its features are the landmarks where it has them, else the 40."""
+        frame = at_reference_focal(frame)
+        if self.landmarks is None:
+            return frame
+        features, landmarks, forty = frame.features, self.landmarks, len(frame.features.confidence)
+        pixels, trust, own = np.full((len(landmarks), 2), np.nan), np.zeros(len(landmarks)), features.confidence
+        if features.face is not None:
+            points = self.blendshapes.feature_points(self._x)[:forty]
+            pose = self.pose if self.pose is not None else pose_from_features(frame, points)
+            if pose is not None:
+                pixels, own = landmarks.pixels(features) - landmarks.slides(pose, frame.camera), np.zeros(forty)
+                trust = np.minimum(SHARE / CERTAIN * landmarks.trust(pose), 1.0)
+        joined = Features2D(np.concatenate([features.pixels, pixels]), np.concatenate([own, trust]))
+        return dataclasses.replace(frame, features=joined)
 
     def _find_pose(self, frame: RgbdFrame) -> tuple[np.ndarray | None, int]:
         """The last pose where it still fits roughly, else one from the features (perspective-n-point); fit rounds."""
@@ -107,7 +144,10 @@ def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     scaled = Camera(*size, camera.fx * scale, camera.fy * scale, camera.cx * scale, camera.cy * scale)
     alone = np.minimum(ALONE * frame.features.confidence, 1.0)
-    features = Features2D(frame.features.pixels * scale, TRUST * alone)
+    face = frame.features.face
+    if face is not None:
+        face = dataclasses.replace(face, mesh=face.mesh * scale)
+    features = Features2D(frame.features.pixels * scale, TRUST * alone, face)
     return dataclasses.replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
 
 

@@ -77,7 +77,7 @@ def _retune_stages(out: FaceTracker, old: Parameters, new: Parameters) -> None:
 
 def _with_expressions(tracker: FaceTracker, parameters: Parameters) -> FaceTracker:
     """Another number of expressions changes the anchor space: a new tracker, put where the old one is."""
-    out = type(tracker)(tracker.actor, parameters)
+    out = type(tracker)(tracker.given, parameters)
     count = min(len(tracker._x), len(out._x))
     out._x[:count] = tracker._x[:count]
     out.pose, out._v1, out._deformation = tracker.pose, out.blendshapes.shape(out._x), tracker._deformation

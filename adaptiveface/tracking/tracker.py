@@ -32,11 +32,12 @@ FOLLOW_WEIGHT = 3.0
 class FaceTracker:
     """Tracks one actor. ``track(frame)`` for every frame in order; ``reset()`` starts over, ``forget()`` drops the pose only.
 
+    ``given`` is the actor it was made for; ``actor`` the same with the features that the tracker works with.
     State between frames: the head pose, the coefficients, the last deformation and final mesh, and the adaptive ``model``.
     """
 
     def __init__(self, actor: Actor, parameters: Parameters | None = None) -> None:
-        self.actor = actor
+        self.given = self.actor = actor
         self.parameters = p = parameters or Parameters()
         blendshapes = BlendshapeFit(actor, p.blendshapes)
         self.model = AdaptiveModel(actor, blendshapes.basis, p.adaptive_pca)

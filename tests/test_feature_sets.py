@@ -1,0 +1,156 @@
+"""Feature sets: the detector's landmarks on the face model, in actors and in the tracker without depth."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from adaptiveface.actor import Actor
+from adaptiveface.camera import Camera
+from adaptiveface.errors import FileFormatError
+from adaptiveface.face_model import embedded_face_model
+from adaptiveface.feature_set import paper_features, yaw_of
+from adaptiveface.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from adaptiveface.mesh import rigid_alignment, transform_points
+from adaptiveface.neutral.capture import build_actor
+from adaptiveface.neutral.colour import NEAREST, USUAL, capture_colour, scored_coefficients
+from adaptiveface.synthetic.script import HeadMotion
+from adaptiveface.tracking.colour_tracker import ColourTracker
+
+MODEL = embedded_face_model()
+SET = MODEL.landmarks
+CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
+NAMES = list(MODEL.generic_names)
+
+
+def seen(
+    head: np.ndarray, x: np.ndarray, pose: np.ndarray, index: int = 0, noise: float = 0.0, camera=CAMERA
+) -> RgbdFrame:
+    """A frame of the landmarks alone, as a detector without errors but white noise (px) returns them."""
+    skin = head + np.tensordot(x, MODEL.generic_expressions, axes=1)
+    rng = np.random.default_rng(index)
+    mesh = np.zeros((LANDMARKS, 3))
+    pixels = camera.project(transform_points(pose, SET.points(skin))) + SET.slides(pose, camera)
+    mesh[SET.ids, :2] = pixels + noise * rng.standard_normal(pixels.shape)
+    scores = x @ MODEL.generic_weights
+    forty = camera.project(transform_points(pose, paper_features(MODEL).points(skin)))
+    face = DetectedFace(
+        mesh, np.array([dict(zip(MODEL.expression_names, scores, strict=True))[n] for n in SCORE_NAMES])
+    )
+    features = Features2D(forty, np.full(40, 0.3), face)
+    return RgbdFrame(np.zeros((1, 1), np.float32), camera, None, index, index / 30, features)
+
+
+def expression(**strengths: float) -> np.ndarray:
+    x = np.zeros(len(NAMES))
+    for name, strength in strengths.items():
+        x[NAMES.index(name)] = strength
+    return x
+
+
+def poses(count: int, distance: float = 600.0):
+    motion = HeadMotion(3, 0, 30.0, distance)
+    return [motion.pose(60 + 4 * k) for k in range(count)]
+
+
+@pytest.fixture(scope="module")
+def identity():
+    return np.clip(np.random.default_rng(5).normal(0, 0.7, len(MODEL.identity_modes)), -2, 2)
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Root mean square distance, mm, of two heads' faces after alignment."""
+    a, b = a[MODEL.frontal], b[MODEL.frontal]
+    return float(np.sqrt(((transform_points(rigid_alignment(a, b), a) - b) ** 2).sum(axis=1).mean()))
+
+
+def test_the_set_lies_on_the_face_and_names_its_regions():
+    points = SET.points(MODEL.mean)
+    nose, chin, eyes = (points[SET.regions == name] for name in ("nose", "chin", "lids"))
+    assert 150 < len(SET) < 250 and 20 <= SET.held_out.sum() <= 60
+    assert set(SET.regions) == set(SET.regions[SET.held_out]) | {"oval"}  # the oval slides: nothing is measured by it
+    assert nose[:, 2].max() > eyes[:, 2].max() + 10 and chin[:, 1].max() < nose[:, 1].min()
+    left, right = (points[SET.ids == number][0] for number in (263, 33))  # the subject's left is +x
+    assert left[0] > 20 and right[0] < -20 and abs(left[1] - right[1]) < 3
+    assert (SET.deviation > 0.3).all() and (SET.personal > 0.1).all()
+
+
+def test_contour_landmarks_count_less_on_the_side_that_turns_away():
+    far = SET.deviations(35.0)[SET.ids == 132], SET.deviations(-35.0)[SET.ids == 132]
+    assert max(far)[0] > 3 * SET.deviations(35.0)[SET.ids == 133][0]
+    pose = HeadMotion(0, 0, 30.0, 600.0).pose(0)
+    assert abs(yaw_of(pose)) < 1 and (SET.trust(pose) > 0).all()
+
+
+def test_an_actor_keeps_its_landmarks_and_the_40_entry_arrays(tmp_path):
+    actor = build_actor(MODEL, MODEL.mean)
+    actor.save(tmp_path / "actor.npz")
+    again = Actor.load(tmp_path / "actor.npz")
+    assert again.feature_triangles.shape == (40, 3) and len(again.landmarks) == len(SET)
+    np.testing.assert_allclose(again.landmarks.points(again.neutral), SET.points(MODEL.mean), atol=1e-3)
+    without = dataclasses.replace(actor, landmarks=None)
+    without.save(tmp_path / "old.npz")
+    assert Actor.load(tmp_path / "old.npz").landmarks is None
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("landmark_triangles", lambda a: a + 10**6, "landmark_triangles"),
+        ("landmark_weights", lambda a: 2 * a, "barycentric"),
+        ("landmark_ids", lambda a: a + 400, "numbers of landmarks"),
+        ("landmark_yaw", lambda a: a[::-1].copy(), "landmark_yaw"),
+        ("landmark_deviation", lambda a: -a, "not positive"),
+        ("landmark_offset", None, "landmark_offset"),
+    ],
+)
+def test_broken_landmarks_are_named(tmp_path, name, change, words):
+    path = tmp_path / "actor.npz"
+    build_actor(MODEL, MODEL.mean).save(path)
+    arrays = dict(np.load(path))
+    if change is None:
+        del arrays[name]
+    else:
+        arrays[name] = change(arrays[name])
+    np.savez(path, **arrays)
+    with pytest.raises(FileFormatError, match=words):
+        Actor.load(path)
+
+
+def test_scores_become_the_coefficients_they_stand_for():
+    x = expression(jawOpen=0.6, mouthSmileLeft=0.8, mouthSmileRight=0.8)
+    found = scored_coefficients(seen(MODEL.mean, x, poses(1)[0]).features.face, MODEL)
+    assert np.abs(found - x).max() < 0.15
+
+
+def test_a_smile_from_the_first_frame_on_ends_at_the_same_head_as_a_neutral_start(identity):
+    """The smile belongs to the frames, not to the person: heads within 1.5 mm rms, without any neutral frame in one take."""
+    head = MODEL.neutral(identity)
+    smile = expression(mouthSmileLeft=0.9, mouthSmileRight=0.9, mouthUpperUp=0.4)
+    calm = [seen(head, 0 * smile, pose, k, 0.5) for k, pose in enumerate(poses(30))]
+    smiling = [seen(head, (0.8 + 0.2 * np.sin(k)) * smile, pose, k, 0.5) for k, pose in enumerate(poses(30))]
+    neutral, smiled = (capture_colour(frames).actor for frames in (calm, smiling))
+    assert difference(neutral.neutral, smiled.neutral) < 1.5
+    size = np.ptp(head[MODEL.frontal], axis=0)[1] / np.ptp(smiled.neutral[MODEL.frontal], axis=0)[1]  # nobody can know it
+    assert 0.9 < size < 1.1 and difference(size * smiled.neutral, head) < difference(MODEL.mean, head)
+
+
+def test_the_head_keeps_its_size_and_its_pose_while_the_mouth_opens(identity):
+    head, pose = MODEL.neutral(identity), poses(1)[0]
+    tracker, angles = ColourTracker(build_actor(MODEL, head, identity=identity)), []
+    for k, opening in enumerate(np.concatenate([np.linspace(0, 0.9, 12), np.full(12, 0.9), np.linspace(0.9, 0, 12)])):
+        tracked = tracker.track(seen(head, expression(jawOpen=opening), pose, k, 0.4))
+        assert tracked.tracked and abs(tracked.rigid[2, 3] / pose[2, 3] - 1) < 0.05
+        angles.append(np.degrees(np.linalg.norm(tracked.rigid[:3, :3] - pose[:3, :3]) / np.sqrt(2)))
+    assert max(angles) < 1.0
+
+
+def test_a_guessed_focal_length_cannot_put_the_head_into_the_camera():
+    cropped = dataclasses.replace(CAMERA, fx=200.0, fy=200.0)
+    frames = [seen(MODEL.mean, np.zeros(len(NAMES)), pose, k) for k, pose in enumerate(poses(6))]
+    frames = [dataclasses.replace(frame, camera=cropped) for frame in frames]
+    capture = capture_colour(frames, guessed_focal=True)
+    assert capture.focal == pytest.approx(USUAL / 200.0, rel=0.1) and 200.0 < NEAREST
+    assert capture_colour(frames).focal == 1.0
