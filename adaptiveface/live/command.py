@@ -181,10 +181,11 @@ class _Headless:
             with session:
                 self._follow(session, ctrl_c)
         finally:
+            statistics = str(session.statistics)
             try:
                 self._save(session)  # before anything is printed: nobody may be there to read it
             finally:
-                self.line.end(str(session.statistics))
+                self.line.end(statistics)
         statistics, name = session.statistics, session.feed.sensor.name
         if session.ended and not statistics.tracked + statistics.lost:
             raise TrackingError(
