@@ -249,3 +249,10 @@ def test_ctrl_c_while_the_process_ends_says_nothing(tmp_path):
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert run.returncode == 2 and "must end in" in run.stderr and run.stderr.count("\n") == 1
+
+
+def test_a_full_disk_is_named_with_the_folder_not_with_the_file_in_it(tmp_path):
+    with pytest.raises(AdaptiveFaceError, match=r"take: no space left on the disk; nothing was written$") as caught:
+        with replacing_folder(tmp_path / "take", ours) as new, replacing(new / "0.obj"):
+            raise OSError(28, "full")
+    assert "part" not in str(caught.value) and [*tmp_path.iterdir()] == []

@@ -7,6 +7,7 @@ import itertools
 import math
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -71,10 +72,10 @@ def _export(stage, path: Path) -> None:
     """Write, and read it back: USD may take a full disk for a success."""
     try:
         written = stage.Export(os.fspath(path))
-    except Exception as error:  # pxr.Tf.ErrorException
-        raise OSError(errno.EIO, f"USD says: {str(error).splitlines()[-1][:160]}; is the disk full?") from None
+    except Exception:  # pxr.Tf.ErrorException, whose text is about USD's own source
+        written = False
     if not written or not _complete(path):
-        raise OSError(errno.EIO, "USD failed; is the disk full?")
+        raise _failed(path)
 
 
 def _write_package(stage, path: Path) -> None:
@@ -84,9 +85,15 @@ def _write_package(stage, path: Path) -> None:
         layer = Path(folder) / "performance.usdc"
         _export(stage, layer)
         if not pxr.UsdUtils.CreateNewARKitUsdzPackage(pxr.Sdf.AssetPath(os.fspath(layer)), os.fspath(path)):
-            raise OSError(errno.EIO, "USD could not write the package; is the disk full?")
+            raise _failed(path)
     if not _complete(path):
-        raise OSError(errno.EIO, "USD failed; is the disk full?")
+        raise _failed(path)
+
+
+def _failed(path: Path) -> OSError:
+    """USD does not say why: a disk with less than a MiB left is full."""
+    full = shutil.disk_usage(path.parent).free < 1 << 20
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) if full else OSError(errno.EIO, "USD failed")
 
 
 def _complete(path: Path) -> bool:

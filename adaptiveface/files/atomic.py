@@ -86,8 +86,9 @@ def replacing_folder(path: str | os.PathLike, ours: Callable[[str], bool]) -> It
         with suppress(OSError):
             if began:
                 _remove(temporary)
-        if isinstance(error, OSError):
-            raise AdaptiveFaceError(f"{path}: {reason(error)}; {_kept(target)}") from error
+        cause = error.__cause__ if isinstance(error, AdaptiveFaceError) else error
+        if isinstance(cause, OSError):  # of a file in the folder, or of the folder
+            raise AdaptiveFaceError(f"{path}: {reason(cause)}; {_kept(target)}") from cause
         raise
 
 
