@@ -15,6 +15,7 @@ from .npz import Field, check_indices, load_checked, write_npz
 from .parameters import Parameters
 from .result_access import ResultAccess
 from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows, row_type
+from .tracking.held_out import HeldOut, describe, warn
 from .tracking.types import STAGE_NAMES, SampleState, TrackedFrame
 from .tracking.verdict import face_seen, verdict
 
@@ -47,12 +48,15 @@ _FIELDS = {
     "colour_only": Field((), "b", optional=True),
     "mirrored": Field((), "b", optional=True),
     "turned": Field((), "iu", optional=True),
+    "held_out": Field(("F", "R"), optional=True),
+    "held_out_regions": Field(("R",), "U", optional=True),
 }
 
 #: Meshes of every frame, which stay on the disk in long takes.
 MESHES = ("vertices", "v1", "v2", "v3")
 _HEAD_FIELDS = {name: _FIELDS[name] for name in ("triangles", "frontal", "expression_names", "feature_vertices",
-                                                 "feature_ids", "stage_names", "parameters", "colour_only")}  # fmt: skip
+                                                 "feature_ids", "stage_names", "parameters", "colour_only",
+                                                 "held_out_regions")}  # fmt: skip
 _HEAD_FIELDS |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 
 #: How everything that people read calls a result that was tracked without depth.
@@ -74,6 +78,8 @@ class Result(ResultAccess):
     coefficients of the last tracked one (before the first one: of the first one; without any: the neutral, unmoved),
     has sample state UNTRACKED, and 0 for its distances. correctives (K, N, 3) or None: the corrective shapes as learned
     at the end, orthonormal, zero outside the frontal region. colour_only: tracked without depth, a degraded mode.
+    held_out (F, R) or None: error of the landmarks that no fit used, by region of held_out_regions (R,), % of the eyes'
+    distance, 0 where nothing was detected (:mod:`~adaptiveface.tracking.held_out`).
     mirrored, turned: the source's frames were flipped, and then turned by so many quarters anticlockwise, before they were
     tracked; :func:`~adaptiveface.sensors.orientation.as_tracked` does the same with a source.
     """
@@ -106,6 +112,8 @@ class Result(ResultAccess):
     colour_only: bool = False
     mirrored: bool = False
     turned: int = 0
+    held_out: np.ndarray | None = None
+    held_out_regions: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -122,6 +130,8 @@ class Result(ResultAccess):
         ]
         if self.colour_only:
             lines.insert(0, f"{COLOUR_ONLY} (2D features alone; size and distance assumed, nothing learned)")
+        if self.held_out is not None and (doubt := warn(self.held_out[self.tracked], self.held_out_regions)):
+            lines.insert(0, doubt)
         if doubt := verdict(self.tracked, self.skipped, self.reasons):
             lines.insert(0, doubt)
         broken = [reason for reason, skipped in zip(self.reasons, self.skipped, strict=True) if skipped]
@@ -132,11 +142,15 @@ class Result(ResultAccess):
             total = np.median(self.stage_ms[self.tracked].sum(axis=1))
             stages = ", ".join(f"{name} {ms:.1f}" for name, ms in zip(self.stage_names, median, strict=True))
             lines.append(f"median ms per frame: {total:.1f} ({stages})")
+        if self.held_out is not None and (fit := describe(self.held_out[self.tracked], self.held_out_regions)):
+            lines.append(fit)
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write ``result.npz`` (uncompressed: coordinates hardly shrink), whole or not at all."""
         arrays = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        if self.held_out is None:
+            del arrays["held_out_regions"]
         write_npz(path, {name: value for name, value in arrays.items() if value is not None})
 
     @classmethod
@@ -197,6 +211,8 @@ class ResultBuilder:
             "parameters": np.array(parameters.to_json()), "colour_only": np.array(colour_only),
             "neutral": actor.neutral.astype(np.float32), "stages": np.array(bool(keep_stages)),
         }  # fmt: skip
+        if regions := HeldOut(actor).regions:
+            self._head["held_out_regions"] = np.array(regions)
         self.mirrored, self.turned = False, 0
         self._type = _row_type(self._head)
         self._rows = MemoryRows(self._type, n_frames) if folder is None else FileRows(self._type, folder, self._head)
@@ -226,6 +242,8 @@ class ResultBuilder:
                 anchor_distance=np.nan_to_num(frame.anchor_distance),
                 adaptive_distance=np.nan_to_num(frame.adaptive_distance),
             )
+            if len(frame.held_out) and "held_out" in self._type.names:
+                row["held_out"] = frame.held_out
             row |= {stage: frame.in_camera(getattr(frame, stage)) for stage in self._stages}
         self._write(row, "" if frame.tracked else frame.reason)
 
@@ -257,7 +275,8 @@ class ResultBuilder:
 
 def _row_type(head: dict[str, np.ndarray]) -> np.dtype:
     meshes = MESHES if head["stages"] else MESHES[:1]
-    return row_type(len(head["neutral"]), len(head["expression_names"]), len(head["stage_names"]), meshes)
+    regions = len(head.get("held_out_regions", ()))
+    return row_type(len(head["neutral"]), len(head["expression_names"]), len(head["stage_names"]), meshes, regions)
 
 
 def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], correctives: np.ndarray | None = None) -> Result:
@@ -290,8 +309,10 @@ def _fill_gaps(small: dict[str, np.ndarray], meshes: dict[str, np.ndarray], neut
 
 def _as_attributes(data: dict) -> dict:
     """Arrays of text as the attributes of a :class:`Result`."""
-    for name in ("expression_names", "stage_names", "reasons"):
-        data[name] = tuple(str(text) for text in data[name])
+    for name in ("expression_names", "stage_names", "reasons", "held_out_regions"):
+        data[name] = tuple(str(text) for text in data.get(name, ()))
+    if not data["held_out_regions"]:
+        data.pop("held_out", None)
     data["parameters"] = str(data["parameters"])
     data["colour_only"], data["mirrored"] = (bool(data.get(name, False)) for name in ("colour_only", "mirrored"))
     data["turned"] = int(data.get("turned", 0)) % 4

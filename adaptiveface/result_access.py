@@ -133,4 +133,5 @@ def time_table(values: np.ndarray, timestamps: np.ndarray, names: tuple[str, ...
 _PER_FRAME = frozenset((
     "vertices", "v1", "v2", "v3", "tracked", "skipped", "timestamps", "rigid", "coefficients", "coefficients_initial",
     "corrective_updates", "sample_state", "residual", "anchor_distance", "adaptive_distance", "reasons", "stage_ms",
+    "held_out",
 ))  # fmt: skip

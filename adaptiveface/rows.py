@@ -25,11 +25,12 @@ HEAD, ROWS = "head.npz", "rows.bin"
 REASON = 200
 
 
-def row_type(vertices: int, expressions: int, stages: int, meshes: tuple[str, ...]) -> np.dtype:
-    """The dtype of one row; ``meshes``: names of its meshes (vertices, 3)."""
+def row_type(vertices: int, expressions: int, stages: int, meshes: tuple[str, ...], regions: int = 0) -> np.dtype:
+    """The dtype of one row; ``meshes``: names of its meshes (vertices, 3); ``regions`` of held-out landmarks."""
     float32 = dict.fromkeys(meshes, (vertices, 3)) | {"rigid": (4, 4), "coefficients": (expressions,)}
     float32 |= {"coefficients_initial": (expressions,), "stage_ms": (stages,)}
     float32 |= {"residual": (), "anchor_distance": (), "adaptive_distance": ()}
+    float32 |= {"held_out": (regions,)} if regions else {}
     fields = [("timestamps", np.float64, ()), *((name, np.float32, shape) for name, shape in float32.items())]
     fields += [("corrective_updates", np.int32, ()), ("reasons", f"<U{REASON}", ())]
     fields += [("sample_state", np.int8, ()), ("tracked", np.bool_, ()), ("skipped", np.bool_, ())]

@@ -13,9 +13,13 @@ from adaptiveface.errors import FileFormatError
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.feature_set import paper_features, yaw_of
 from adaptiveface.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from adaptiveface.live.statistics import LiveStatistics
 from adaptiveface.mesh import rigid_alignment, transform_points
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.colour import NEAREST, USUAL, capture_colour, scored_coefficients
+from adaptiveface.parameters import Parameters
+from adaptiveface.report import write_report
+from adaptiveface.result import Result, ResultBuilder
 from adaptiveface.synthetic.script import HeadMotion
 from adaptiveface.tracking.colour_tracker import ColourTracker
 
@@ -154,3 +158,48 @@ def test_a_guessed_focal_length_cannot_put_the_head_into_the_camera():
     capture = capture_colour(frames, guessed_focal=True)
     assert capture.focal == pytest.approx(USUAL / 200.0, rel=0.1) and 200.0 < NEAREST
     assert capture_colour(frames).focal == 1.0
+
+
+def tracked_result(head: np.ndarray, seen_head: np.ndarray):
+    actor = build_actor(MODEL, head)
+    tracker, builder = ColourTracker(actor), ResultBuilder(actor, Parameters(), 5, colour_only=True)
+    for k, pose in enumerate(poses(5)):
+        builder.add(tracker.track(seen(seen_head, np.zeros(len(NAMES)), pose, k, 0.3)))
+    return builder.finish()
+
+
+def test_held_out_landmarks_tell_how_well_the_face_fits(tmp_path, identity):
+    """The same head fits; another one does not, and that is said first."""
+    head = MODEL.neutral(identity)
+    right, wrong = tracked_result(head, head), tracked_result(head * [1.0, 1.4, 1.0], head)
+    assert right.tracked.all() and right.held_out.shape == (5, len(right.held_out_regions))
+    assert {"nose", "chin", "lips", "lids"} <= set(right.held_out_regions)
+    assert 0 < np.median(right.held_out) < 3 < np.median(wrong.held_out[wrong.tracked])
+    assert right.summary().splitlines()[-1].startswith("held-out landmarks: off by")
+    assert "does not fit what is seen" in wrong.summary().splitlines()[0] and "does not fit" not in right.summary()
+    right.save(tmp_path / "result.npz")
+    again = Result.load(tmp_path / "result.npz")
+    np.testing.assert_array_equal(again.held_out, right.held_out)
+    assert again.held_out_regions == right.held_out_regions and again[1:3].held_out.shape[0] == 2
+
+
+def test_a_result_without_landmarks_has_none(tmp_path):
+    actor = dataclasses.replace(build_actor(MODEL, MODEL.mean), landmarks=None)
+    builder = ResultBuilder(actor, Parameters(), 1, colour_only=True)
+    builder.add(ColourTracker(actor).track(seen(MODEL.mean, np.zeros(len(NAMES)), poses(1)[0])))
+    result = builder.finish()
+    assert result.held_out is None and "held-out" not in result.summary()
+    result.save(tmp_path / "result.npz")
+    assert Result.load(tmp_path / "result.npz").held_out is None
+
+
+def test_the_report_and_the_live_figures_say_how_well_it_fits(tmp_path, identity):
+    head = MODEL.neutral(identity)
+    actor = build_actor(MODEL, head)
+    for seen_head, fits in ((head, True), (head * [1.0, 1.4, 1.0], False)):
+        result = tracked_result(head, seen_head)
+        text = write_report(result, None, actor, tmp_path).read_text(encoding="utf-8")
+        assert "Does the face fit?" in text and ("The face does not fit what is seen" in text) != fits
+        figures = LiveStatistics(held_out=float(np.median(result.held_out.max(axis=1))))
+        assert "worst region off by" in str(figures) and str(figures).startswith("the face does not fit") != fits
+    assert "off by" not in str(LiveStatistics())

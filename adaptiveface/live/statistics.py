@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..tracking.held_out import BAD
 from ..tracking.types import TrackedFrame
 from .feed import FeatureFeed
 
@@ -21,6 +22,7 @@ class LiveStatistics:
     ``detect_ms``, ``track_ms`` (medians): over the last seconds. Since the start: frames that never came out,
     ``dropped_sensor`` by the device itself, ``dropped_features`` because the detector was busy, ``dropped_tracker``
     because the tracker was; ``tracked`` and ``lost`` (no face) results. ``message``: what is wrong now, or "".
+    ``held_out``: error of the worst region of landmarks that no fit used, % of the eyes' distance, NaN where unknown.
     """
 
     fps: float = 0.0
@@ -34,6 +36,7 @@ class LiveStatistics:
     tracked: int = 0
     lost: int = 0
     message: str = ""
+    held_out: float = float("nan")
 
     def __str__(self) -> str:
         dropped = f"{self.dropped_sensor} + {self.dropped_features} + {self.dropped_tracker}"
@@ -41,6 +44,10 @@ class LiveStatistics:
             f"{self.fps:4.1f} frames/s, latency {self.latency_ms_p50:.0f} ms (95 %: {self.latency_ms_p95:.0f}), "
             f"detect {self.detect_ms:.0f}, track {self.track_ms:.0f} ms, dropped by sensor + detector + tracker {dropped}"
         )
+        if np.isfinite(self.held_out):
+            text += f", worst region off by {self.held_out:.1f} %"
+        if self.held_out > BAD:
+            text = f"the face does not fit what is seen (off by {self.held_out:.0f} % of the eyes' distance); {text}"
         return f"{text}; {self.message}" if self.message else text
 
 
@@ -51,7 +58,7 @@ class Meter:
         self.message, self._feed, self._before = "", feed, _dropped(feed)
         self._tracked = self._lost = 0
         self._start = self._last = time.perf_counter()
-        self._recent: deque[tuple[float, float, float]] = deque(maxlen=1000)  # time, latency ms, track ms
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=1000)  # time, latency ms, track ms, fit %
 
     @property
     def silence(self) -> float:
@@ -61,7 +68,8 @@ class Meter:
     def add(self, latency_ms: float, tracked: TrackedFrame) -> None:
         """Take note of a result."""
         self._last = time.perf_counter()
-        self._recent.append((self._last, latency_ms, sum(tracked.stage_ms.values())))
+        fit = float(tracked.held_out.max()) if len(tracked.held_out) else np.nan
+        self._recent.append((self._last, latency_ms, sum(tracked.stage_ms.values()), fit))
         self._tracked += tracked.tracked
         self._lost += not tracked.tracked
         self.message = tracked.reason
@@ -69,7 +77,7 @@ class Meter:
     def statistics(self) -> LiveStatistics:
         """The figures of this moment."""
         now = time.perf_counter()
-        recent = np.array([row for row in tuple(self._recent) if row[0] > now - WINDOW_SECONDS]).reshape(-1, 3)
+        recent = np.array([row for row in tuple(self._recent) if row[0] > now - WINDOW_SECONDS]).reshape(-1, 4)
         span = min(max(now - self._start, 1e-3), WINDOW_SECONDS)
         p50, p95 = np.percentile(recent[:, 1], [50, 95]) if len(recent) else (0.0, 0.0)
         sensor, features, tracker = (n - before for n, before in zip(_dropped(self._feed), self._before, strict=True))
@@ -85,6 +93,7 @@ class Meter:
             tracked=self._tracked,
             lost=self._lost,
             message=self.message,
+            held_out=float(np.nanmedian(recent[:, 3])) if np.isfinite(recent[:, 3]).any() else np.nan,
         )
 
 

@@ -50,7 +50,7 @@ def write_report(
     name = str(getattr(source, "name", "a performance"))
     body = [
         sections.heading(name, record.colour_only), sections.doubt(context), scenes.preview(context),
-        sections.tiles(context), sections.losses(context),
+        sections.tiles(context), sections.losses(context), sections.fit(context),
         scenes.tracked_frames(context), scenes.rig(context), sections.coefficients(context),
         retargeting.section(context, load_character(character), known, still_frames),
         sections.learning(context, _whole_mesh(correctives, actor)), sections.errors(context, note),

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from ..bench.paper import PAPER_MS
 from ..evaluation.coefficients import INITIAL, RESOLVED, KnownCoefficients
 from ..retargeting.smoothing import COMPARED, step_response
+from ..tracking.held_out import BAD
 from ..tracking.types import SampleState
 from .context import Spans
 from .page import INK, inline_svg
@@ -132,6 +133,25 @@ def adaptation(record, spans: Spans = ()) -> str:
         axis.legend(loc="upper left", ncols=2)
         _mark_spans(axis, spans)
         return _svg(figure, "adaptation")
+
+
+def held_out(record, spans: Spans = ()) -> str:
+    """Error of the held-out landmarks over time, by region, % of the eyes' distance."""
+    with matplotlib.rc_context(_STYLE):
+        figure, (axis,) = _figure(2.9)
+        t, seen = record.timestamps, record.tracked & (record.held_out > 0).any(axis=1)
+        colours = (BLUE, ORANGE, GREEN, VERMILLION, SKY, PURPLE, GREY, "#333333", "#a05a2c")
+        for number, region in enumerate(record.held_out_regions):
+            errors = _break_at_gaps(record.held_out[:, number], seen)
+            axis.plot(t, errors, color=colours[number % len(colours)], linewidth=1, label=region)
+        axis.axhline(BAD, color=GREY, linewidth=0.8, linestyle="--")
+        axis.set_ylim(0, max(_top(record.held_out[seen]), BAD) * 1.35)
+        axis.set_xlim(t[0], t[-1] + 1e-6)
+        axis.set_ylabel("% of the eyes' distance")
+        axis.set_xlabel("time, s")
+        axis.legend(loc="upper left", ncols=5)
+        _mark_spans(axis, spans)
+        return _svg(figure, "held_out")
 
 
 def learning(record, spans: Spans = ()) -> str:

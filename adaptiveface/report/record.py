@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import AdaptiveFaceError
 from ..parameters import Parameters
 from ..timing import clean_times
+from ..tracking.held_out import warn
 from ..tracking.types import STAGE_NAMES
 from ..tracking.verdict import verdict
 
@@ -21,7 +22,8 @@ class RunRecord:
     tracked (F,) bool; timestamps (F,) s; coefficients, coefficients_initial (F, A); corrective_updates (F,);
     sample_state (F,); stage_ms (F, S) with stage_names (S,); anchor_distance, adaptive_distance (F,) mm, NaN where
     unknown; reasons (F,) why a frame is not tracked, "" where it is; parameters of the run;
-    colour_only: tracked without depth; skipped (F,) bool: broken frames, None where there are none.
+    colour_only: tracked without depth; skipped (F,) bool: broken frames, None where there are none;
+    held_out (F, R) error of the landmarks that no fit used, %, by region of held_out_regions (R,), or None.
     """
 
     index: np.ndarray
@@ -41,6 +43,8 @@ class RunRecord:
     parameters: Parameters
     colour_only: bool = False
     skipped: np.ndarray | None = None
+    held_out: np.ndarray | None = None
+    held_out_regions: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.tracked)
@@ -76,6 +80,7 @@ class RunRecord:
             getattr(result, "anchor_distance", unknown), getattr(result, "adaptive_distance", unknown),
             tuple(map(str, reasons)) if reasons is not None else ("",) * count, parameters,
             bool(getattr(result, "colour_only", False)), getattr(result, "skipped", None),
+            getattr(result, "held_out", None), tuple(getattr(result, "held_out_regions", ())),
         )  # fmt: skip
 
     @classmethod
@@ -99,7 +104,8 @@ class RunRecord:
     def doubt(self) -> str:
         """What has to be said first (:func:`~adaptiveface.tracking.verdict.verdict`), or ""."""
         skipped = [False] * len(self) if self.skipped is None else self.skipped
-        return verdict(self.tracked, skipped, self.reasons)
+        first = verdict(self.tracked, skipped, self.reasons)
+        return first or ("" if self.held_out is None else warn(self.held_out[self.tracked], self.held_out_regions))
 
     def initial_vertices(self, index: int, actor) -> np.ndarray:
         """(N, 3) v1 = b0 + B x of one frame in the camera frame, from its initial coefficients (section 4.2)."""

@@ -11,6 +11,7 @@ from .. import __version__
 from ..evaluation import FIRST, PERFORMANCE_NAMES, REPEAT
 from ..parameters import Parameters, describe
 from ..result import COLOUR_ONLY
+from ..tracking.held_out import describe as describe_fit
 from ..tracking.types import SampleState
 from . import charts, page, pictures
 from .context import Context
@@ -86,6 +87,18 @@ def coefficients(context: Context) -> str:
     return (
         "<h2>Animation</h2><p>The blendshape coefficients, solved once more from the final mesh (section 6): what a "
         f'retargeted character receives.</p><div class="chart">{chart}</div>'
+    )
+
+
+def fit(context: Context) -> str:
+    """How far landmarks that no fit used are from where the face puts them; nothing where none were detected."""
+    record = context.record
+    if record.held_out is None or not (text := describe_fit(record.held_out[record.tracked], record.held_out_regions)):
+        return ""
+    return (
+        "<h2>Does the face fit?</h2><p>Some of the detector's landmarks are left out of every fit. They show how far the "
+        f"tracked face is from the one in the picture: shape, pose and expression together. {escape(text)}.</p>"
+        f'<div class="chart">{charts.held_out(record, context.spans)}</div>'
     )
 
 

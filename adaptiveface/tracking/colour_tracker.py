@@ -65,7 +65,7 @@ class ColourTracker(FaceTracker):
         ms = dict.fromkeys(STAGE_NAMES, 0.0)
         if frame.features is None or frame.features.valid.sum() < MIN_FEATURES:
             return self._lose(frame, ms, NO_FACE)
-        frame = self._observed(frame)
+        face, camera, frame = frame.features.face, frame.camera, self._observed(frame)
         with timed(ms, "rigid"):
             pose, rounds = self._find_pose(frame)
         if pose is None:
@@ -92,6 +92,7 @@ class ColourTracker(FaceTracker):
         return TrackedFrame(
             frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, SampleState.IN_ANCHOR_SPACE,
             self.model.updates, anchor_distance=anchor, adaptive_distance=adaptive, stage_ms=ms,
+            held_out=self.held_out.measure(face, camera, pose, v4),
         )  # fmt: skip
 
     def _observed(self, frame: RgbdFrame) -> RgbdFrame:

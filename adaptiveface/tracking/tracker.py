@@ -19,6 +19,7 @@ from .expression import BlendshapeFit
 from .feature_confidence import weigh_features
 from .feature_refinement import FeatureRefinement
 from .feature_rows import feature_rows, reprojection_errors
+from .held_out import HeldOut
 from .kalman import CoefficientFilter
 from .laplacian import LaplacianDeformation, feature_term
 from .rigid import RigidFit, RigidTracker
@@ -53,6 +54,7 @@ class FaceTracker:
         self._may_match = actor.depth_valid[frontal]
         self._local = local = np.cumsum(frontal) - 1
         self._frontal_triangles = local[triangles[frontal[triangles].all(axis=1)]]
+        self.held_out = HeldOut(actor)
         self.refine_with(p)
         self.fit_with(blendshapes)
         self.reset()
@@ -92,6 +94,7 @@ class FaceTracker:
         if rigid is None:
             self.forget()
             return self.untracked(frame, why_lost(frame, self.blendshapes.feature_points(self._x)), ms)
+        face = None if frame.features is None else frame.features.face  # refined features come without it
         with timed(ms, "preprocess"):
             frame = self._refine_features(frame, rigid.pose)
             expected = transform_points(rigid.pose, self.blendshapes.feature_points(self._x))
@@ -135,6 +138,7 @@ class FaceTracker:
             anchor,
             adaptive,
             ms,
+            held_out=self.held_out.measure(face, frame.camera, pose, v4),
         )
 
     def _settled(self, x: np.ndarray) -> np.ndarray:

@@ -65,6 +65,7 @@ class TrackedFrame:
     adaptive_distance: float = float("nan")
     stage_ms: dict[str, float] = field(default_factory=dict)
     reason: str = ""
+    held_out: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def in_camera(self, vertices: np.ndarray) -> np.ndarray:
         """Head-frame points (n, 3) in the camera frame, mm."""

@@ -1,0 +1,74 @@
+"""How well a tracked face fits what is seen of it: by landmarks that no fit has used, in percent of the eyes' distance.
+
+The held-out landmarks lie where they lie on everybody. A head of a wrong shape, a wrong pose and a wrong expression all show.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..actor import Actor
+from ..camera import Camera
+from ..frame import DetectedFace
+from ..mesh import transform_points
+
+#: MediaPipe's corners of the right and of the left eye.
+EYES = ((33, 133), (362, 263))
+#: Above this error, %, a face is not the one that is seen; and of so many frames it is said.
+BAD, MANY = 10.0, 0.05
+
+
+class HeldOut:
+    """Measures an actor's faces; ``regions``: names of the R regions, none for an actor without landmarks."""
+
+    def __init__(self, actor: Actor) -> None:
+        landmarks = actor.landmarks
+        held = None if landmarks is None else landmarks.select(landmarks.held_out)
+        self._landmarks = held if held is not None and len(held) and set(np.ravel(EYES)) <= set(landmarks.ids) else None
+        self.regions: tuple[str, ...] = ()
+        if self._landmarks is not None:
+            self.regions = tuple(dict.fromkeys(str(region) for region in held.regions))
+            points = dict(zip(landmarks.ids.tolist(), landmarks.points(actor.neutral), strict=True))
+            right, left = (np.mean([points[number] for number in eye], axis=0) for eye in EYES)
+            self._eyes = float(np.linalg.norm(left - right))
+
+    def measure(self, face: DetectedFace | None, camera: Camera, pose: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+        """(R,) mean error of every region, % of the eyes' distance, across the view; empty where nothing was detected.
+
+        ``face`` as detected; ``vertices`` (N, 3) in the head frame, ``pose`` (4, 4) head to camera.
+        """
+        landmarks = self._landmarks
+        if landmarks is None or face is None:
+            return np.zeros(0)
+        points = transform_points(pose, landmarks.points(vertices))
+        off = face.mesh[landmarks.ids, :2] - landmarks.slides(pose, camera) - camera.project(points)
+        error = np.linalg.norm(off / [camera.fx, camera.fy], axis=1) * points[:, 2] / self._eyes * 100.0
+        return np.array([error[landmarks.regions == region].mean() for region in self.regions])
+
+
+def describe(errors: np.ndarray, regions: tuple[str, ...]) -> str:
+    """A line about errors (F, R) of tracked frames, % (0 where nothing was measured); "" where nothing was."""
+    measured = errors[(errors > 0).any(axis=1)]
+    if not len(measured):
+        return ""
+    frames = measured.mean(axis=1)
+    worst = int(np.argmax(np.median(measured, axis=0)))
+    return (
+        f"held-out landmarks: off by {np.median(frames):.1f} % of the eyes' distance (median), "
+        f"{np.percentile(frames, 95):.1f} % at 95 %; worst: {regions[worst]}, {np.median(measured[:, worst]):.1f} and "
+        f"{np.percentile(measured[:, worst], 95):.1f} %"
+    )
+
+
+def warn(errors: np.ndarray, regions: tuple[str, ...]) -> str:
+    """What has to be said first of errors (F, R): that the face is not the one that is seen, and where; else ""."""
+    measured = errors[(errors > 0).any(axis=1)]
+    if not len(measured):
+        return ""
+    share = (measured > BAD).mean(axis=0)
+    bad = [f"{region} in {100 * part:.0f} %" for region, part in zip(regions, share, strict=True) if part > MANY]
+    if not bad:
+        return ""
+    where = f"{', '.join(bad)} of the frames"
+    limit = f"{BAD:g} % of the eyes' distance"
+    return f"the face does not fit what is seen: held-out landmarks are off by more than {limit} ({where})"
