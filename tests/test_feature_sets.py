@@ -203,3 +203,13 @@ def test_the_report_and_the_live_figures_say_how_well_it_fits(tmp_path, identity
         figures = LiveStatistics(held_out=float(np.median(result.held_out.max(axis=1))))
         assert "worst region off by" in str(figures) and str(figures).startswith("the face does not fit") != fits
     assert "off by" not in str(LiveStatistics())
+
+
+def test_noise_does_not_shrink_the_head(identity):
+    """Residuals in millimetres at the head are smaller for a smaller head; those in the picture are not."""
+    head = MODEL.neutral(identity)
+    sizes = []
+    for noise in (0.2, 2.0):
+        frames = [seen(head, np.zeros(len(NAMES)), pose, k, noise) for k, pose in enumerate(poses(24))]
+        sizes.append(np.ptp(capture_colour(frames).actor.neutral[MODEL.frontal], axis=0)[1])
+    assert abs(sizes[1] / sizes[0] - 1) < 0.03

@@ -39,11 +39,15 @@ EYE_CORNERS = (8, 11, 14, 17)
 
 @dataclass(frozen=True)
 class View:
-    """One frame's landmarks ``pixels`` (L, 2), NaN where not seen; ``prior`` (A,) expression coefficients; its camera."""
+    """One frame: ``pixels`` (L, 2) of its landmarks, NaN where not seen; camera; ``prior`` (A,) of its expression.
+
+    ``distance``: about how far away the head is, mm.
+    """
 
     pixels: np.ndarray
     camera: Camera
     prior: np.ndarray
+    distance: float
 
 
 @dataclass(frozen=True)
@@ -87,18 +91,21 @@ class BundleProblem:
         moved = transform_points(pose, points[seen])
         centre = moved.mean(axis=0)
         ray = (pixels[seen] - [view.camera.cx, view.camera.cy]) / [view.camera.fx, view.camera.fy]
-        error = moved[:, :2] - ray * moved[:, 2:]  # mm across the view
+        # An error in the picture, times a distance that does not change: in millimetres at the head, a smaller head would
+        # have the smaller errors, and shrink.
+        shown = moved[:, :2] / moved[:, 2:]
+        error = (shown - ray) * view.distance
         weight = SHARE * self.landmarks.trust(pose)[seen]
         weight = weight / (1.0 + (error**2).sum(axis=1) * weight / (2.0 * SHARE * OUTLIER**2))
-        scale = np.sqrt(weight)[:, None, None]
         across = np.zeros((len(seen), 2, 3))
         across[:, 0, 0] = across[:, 1, 1] = 1.0
-        across[:, :, 2] = -ray
-        across *= scale
+        across[:, :, 2] = -shown
+        across *= (np.sqrt(weight) * view.distance / moved[:, 2])[:, None, None]
         in_head = across @ pose[:3, :3]
         turn = np.einsum("abc,fb,frc->fra", CROSS, moved - centre, across)
         own = np.concatenate([turn, across, in_head @ self.expressions[seen]], axis=2)
-        value = (across @ (transform_points(pose, self.mean[seen]))[..., None])[..., 0]
+        bent = points[seen] - self.mean[seen]  # by identity, offset and expression
+        value = np.sqrt(weight)[:, None] * error - (in_head @ bent[..., None])[..., 0]
         flat = 2 * len(seen), -1
         return own.reshape(flat), (in_head @ self.modes[seen]).reshape(flat), in_head, value, seen, centre
 

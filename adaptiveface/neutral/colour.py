@@ -135,7 +135,8 @@ def solve_frames(frames: Sequence[RgbdFrame], model: FaceModel, modes: int) -> B
         pose = pose_from_features(_without_depth(frame), feature_points)
         if pose is not None:
             poses.append(pose)
-            views.append(View(landmarks.pixels(frame.features), frame.camera, scored_coefficients(frame.features.face, model)))
+            prior = scored_coefficients(frame.features.face, model)
+            views.append(View(landmarks.pixels(frame.features), frame.camera, prior, float(pose[2, 3])))
     if not views:
         raise TrackingError(f"no face found in any of {len(frames)} frames")
     return solve_bundle(model, landmarks, views, np.array(poses), modes)
