@@ -86,5 +86,5 @@ def _tracker(actor: Actor, parameters: Parameters, variant: Variant) -> FaceTrac
     tracker = FaceTracker(actor, parameters.set(**variant.changes))
     if not variant.fit:
         rest = np.zeros(len(tracker.blendshapes.basis))
-        tracker.blendshapes.fit = lambda surface, features, camera, pose, *_: (pose, rest)
+        tracker.blendshapes.fit = lambda surface, features, camera, pose, *_, **__: (pose, rest)
     return tracker
