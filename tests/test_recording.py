@@ -261,8 +261,8 @@ def test_the_writer_refuses_what_it_could_not_read_back(folder, tmp_path):
 
 def test_open_source_knows_recordings_and_says_what_is_possible(folder, tmp_path):
     assert open_source(str(folder)).name == "take"
-    (tmp_path / "film.ogv").write_bytes(b"")
-    for text in (str(tmp_path / "nowhere"), str(tmp_path / "film.ogv")):
+    (tmp_path / "film.txt").write_bytes(b"")
+    for text in (str(tmp_path / "nowhere"), str(tmp_path / "film.txt")):
         with pytest.raises(FileFormatError, match="possible sources: .*synthetic:SEED"):
             open_source(text)
     for text in ("synthetic:x", "synthetic:-1", "synthetic:1:loud", "synthetic:99999999999"):

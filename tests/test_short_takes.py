@@ -15,6 +15,7 @@ from adaptiveface.export.arguments import FORMATS
 from adaptiveface.export.arkit_csv import read_arkit_csv
 from adaptiveface.export.gltf import read_glb_animation
 from adaptiveface.export.obj_sequence import read_obj_sequence
+from adaptiveface.export.point_cache import read_point_cache
 from adaptiveface.export.usd import read_usd
 from adaptiveface.result import Result
 
@@ -30,6 +31,8 @@ def frames_in(path, kind: str) -> int:
         while video.read()[0]:
             count += 1
         return count
+    if kind in ("mdd", "pc2"):
+        return len(read_point_cache(path))
     return len({"glb": read_glb_animation, "usd": read_usd, "usdz": read_usd, "arkit-csv": read_arkit_csv}[kind](path))
 
 

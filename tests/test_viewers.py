@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import web
 from export_scene import tracked_result
+from scipy.spatial.transform import Rotation
 from viewer_pages import page
 
 from adaptiveface.export.animation import AnimatedMesh, actor_animation, character_animation
@@ -15,7 +16,6 @@ from adaptiveface.export.gltf import write_glb
 from adaptiveface.mesh import transform_points
 from adaptiveface.retargeting.character import load_character
 from adaptiveface.retargeting.gltf_file import GltfFile
-from adaptiveface.retargeting.gltf_nodes import Nodes
 from adaptiveface.retargeting.retarget import retarget
 
 
@@ -34,13 +34,20 @@ def modules(tmp_path_factory):
     return web.install(tmp_path_factory.mktemp("viewers"), web.MODEL_VIEWER, *web.BABYLON)
 
 
+def resting_head(path) -> np.ndarray:
+    """(4, 4) where a viewer sees the head before the animation plays, m; our own reader takes such heads as unturned."""
+    performance, head = GltfFile(path).items("nodes")
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_quat(head["rotation"]).as_matrix()
+    out[:3, 3] = np.add(head["translation"], performance["translation"])
+    return out
+
+
 @pytest.mark.parametrize("name", ["actor", "hag"])
 def test_at_rest_the_head_is_where_its_first_frame_is(meshes, tmp_path, name):
     mesh = meshes[name]
     write_glb(tmp_path / "x.glb", mesh)
-    nodes = Nodes(GltfFile(tmp_path / "x.glb"))
-    head = next(n for n in nodes.shown if nodes.name(n) == "head")
-    placed = transform_points(nodes.world[head], 1e-3 * mesh.neutral)
+    placed = transform_points(resting_head(tmp_path / "x.glb"), 1e-3 * mesh.neutral)
     expected = 1e-3 * (transform_points(mesh.rigid[0], mesh.neutral) - mesh.centre)
     np.testing.assert_allclose(placed, expected, atol=1e-6)
 
@@ -49,8 +56,7 @@ def test_one_frame_has_a_rest_pose_too(meshes, tmp_path):
     mesh = meshes["hag"]
     one = replace(mesh, weights=mesh.weights[:1], timestamps=mesh.timestamps[:1], rigid=mesh.rigid[:1])
     write_glb(tmp_path / "one.glb", one)
-    nodes = Nodes(GltfFile(tmp_path / "one.glb"))
-    middle = nodes.world[1] @ np.append(1e-3 * (mesh.neutral.max(axis=0) + mesh.neutral.min(axis=0)) / 2, 1)
+    middle = resting_head(tmp_path / "one.glb") @ np.append(1e-3 * (mesh.neutral.max(axis=0) + mesh.neutral.min(axis=0)) / 2, 1)
     assert np.abs(middle[:3]).max() < 0.1
 
 

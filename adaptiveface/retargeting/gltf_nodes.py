@@ -34,8 +34,9 @@ class Nodes:
             raise file.error(f"node {lost} lies in a circle of nodes")
         self.local = [self._local(node) for node in self.entries]
         self.ours = {number for number, node in enumerate(self.entries) if self._posed_by_us(node)}
-        for number in self.ours:
-            self.local[number] = np.eye(4)
+        for number in self.ours:  # the scale stays: compact files hold coordinates in units of it
+            scale = np.linalg.norm(self.local[number][:3, :3], axis=0)
+            self.local[number] = np.diag([*scale, 1.0])
         self.world: dict[int, np.ndarray] = {}
         for number in order:
             above = self.world[self.parent[number]] if number in self.parent else np.eye(4)
