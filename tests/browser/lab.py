@@ -168,9 +168,19 @@ def cell_with(name: str, text: str) -> int:
     return next(i for i, cell in enumerate(cells) if cell.cell_type == "code" and text in cell.source)
 
 
-def pixels(locator) -> np.ndarray:
-    """(H, W, 3) int: what the browser shows there."""
-    return np.asarray(Image.open(io.BytesIO(locator.screenshot())).convert("RGB")).astype(int)
+def pixels(locator, attempts: int = 5) -> np.ndarray:
+    """(H, W, 3) int: what the browser shows there; again where the page put another element in its place meanwhile."""
+    from playwright.sync_api import Error
+
+    for attempt in range(attempts):
+        try:
+            shown = locator.screenshot()
+            break
+        except Error as error:
+            if "not attached" not in str(error) or attempt == attempts - 1:
+                raise
+            locator.page.wait_for_timeout(300)
+    return np.asarray(Image.open(io.BytesIO(shown)).convert("RGB")).astype(int)
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
