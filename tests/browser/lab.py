@@ -168,7 +168,7 @@ def cell_with(name: str, text: str) -> int:
     return next(i for i, cell in enumerate(cells) if cell.cell_type == "code" and text in cell.source)
 
 
-def pixels(locator, attempts: int = 5) -> np.ndarray:
+def pixels(locator, attempts: int = 10) -> np.ndarray:
     """(H, W, 3) int: what the browser shows there; again where the page put another element in its place meanwhile."""
     from playwright.sync_api import Error
 
