@@ -64,6 +64,16 @@ def check(frame) -> None:
     assert (camera.fx, camera.fy) == K[:2] and camera.cx == pytest.approx((2 * K[2] + 0.5) / 2 - 0.5)
 
 
+def test_a_stream_opens_no_port_and_talks_to_this_machine_only(phone):
+    psutil = pytest.importorskip("psutil")
+    known = {c.laddr for c in psutil.Process().net_connections(kind="inet") if c.status == psutil.CONN_LISTEN}
+    with open_sensor("record3d:FAKE-1") as sensor:
+        sensor.read(20)
+        found = psutil.Process().net_connections(kind="inet")
+    assert {c.laddr for c in found if c.status == psutil.CONN_LISTEN} <= known
+    assert all(c.raddr.ip == "127.0.0.1" for c in found if c.raddr)
+
+
 def test_frames_are_exact_and_the_stream_resumes_after_it_broke_off(phone):
     assert "record3d:FAKE-1" in [info.name for info in list_sensors() if info.ready]
     with open_sensor("record3d:FAKE-1") as sensor:
