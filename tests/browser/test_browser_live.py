@@ -41,6 +41,7 @@ def test_live_notebook_tracks_and_answers(page):
     page.locator(".adaptiveface-face").first.wait_for(state="visible", timeout=30_000)
     lab.wait_for_text(page, STATUS, "tracking", 90)
     lab.wait_for_text(page, FIGURES, "latency", 30)
+    page.wait_for_timeout(1000)  # the tracked head's pane takes the place of the scan's
     face = page.locator(".adaptiveface-face").first
     shown = lab.pixels(face)
     assert shown.std() > 15 and shown.mean() > 60, "the face is blank or black"
