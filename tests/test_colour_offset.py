@@ -29,7 +29,9 @@ class Shifted:
         return dataclasses.replace(frame, features=None, colour=np.roll(frame.colour, self._shift, (0, 1)))
 
 
-@pytest.mark.parametrize(("right", "down", "said"), [(0, 0, False), (20, 0, True), (-20, 0, True)])
+@pytest.mark.parametrize(
+    ("right", "down", "said"), [(0, 0, False), (20, 0, True), (-20, 0, True), (0, 20, True), (0, -20, True)]
+)
 def test_colour_beside_the_depth_is_said(detector, caplog, right, down, said):
     source = Shifted(SyntheticSensor(4, "structured-light", 8, 30), right, down)
     actor = capture_from(source, neutral_frames=6, detector=detector)
