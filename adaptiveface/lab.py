@@ -131,9 +131,13 @@ def lab_command(folder: Path, port: int | None = None, browser: bool = True, not
     ``notebook``: the one to show at first, by default the first by name.
     """
     command = [
-        sys.executable, "-m", "jupyterlab", f"--ServerApp.root_dir={folder.resolve()}", f"--ServerApp.ip={LOOPBACK}",
+        sys.executable,
+        "-m",
+        "jupyterlab",
+        f"--ServerApp.root_dir={folder.resolve()}",
+        f"--ServerApp.ip={LOOPBACK}",
         "--ServerApp.allow_remote_access=False",
-    ]  # fmt: skip
+    ]
     first = notebook or min((path.name for path in folder.glob("*.ipynb") if is_own(path)), default=None)
     if first:
         command.append(f"--LabApp.default_url=/lab/tree/{first}")

@@ -16,9 +16,7 @@ from .mesh import vertex_normals
 from .rendering import NEAR, Light, irradiance
 
 
-def paint(
-    camera: Camera, points: np.ndarray, triangles: np.ndarray, colours: np.ndarray, cull: bool = False
-) -> np.ndarray:
+def paint(camera: Camera, points: np.ndarray, triangles: np.ndarray, colours: np.ndarray, cull: bool = False) -> np.ndarray:
     """(H, W, 3) uint8: triangles (T, 3) int64 of points (N, 3) mm, camera frame, on white.
 
     colours (N, 3) uint8 are interpolated in the picture, which differs from the surface by less than a grey value where

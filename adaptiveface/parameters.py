@@ -31,21 +31,15 @@ class DepthParameters(Stage):
     normal_smoothing: float = parameter(
         1.4, "Gaussian under the depth gradient, from which the normals follow", unit="px", low=0.3, high=20
     )
-    edge: float = parameter(
-        20.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200
-    )
-    min_view: float = parameter(
-        0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9
-    )
+    edge: float = parameter(20.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200)
+    min_view: float = parameter(0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9)
 
 
 @dataclass(frozen=True)
 class RigidParameters(Stage):
     """Section 4.1: rigid ICP, loss and recovery."""
 
-    prune: float = parameter(
-        25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200
-    )
+    prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200)
     outlier: float = parameter(
         5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
@@ -81,9 +75,7 @@ class RigidParameters(Stage):
 class BlendshapeParameters(Stage):
     """Section 4.2: bounded fit of the initial blendshapes, equations (1) and (2)."""
 
-    A: int = parameter(
-        23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=512
-    )
+    A: int = parameter(23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=512)
     w: float = parameter(5e-5, "weight of the 2D features", unit="1/px^2", section="4.2", low=1e-7, high=1e-1, log=True)
     iterations: int = parameter(3, "rounds of correspondence search and solve", section="4.2", low=1, high=20)
     lower: float = parameter(0.0, "lower bound of a coefficient", section="4.2", low=-1, high=0)
@@ -92,9 +84,7 @@ class BlendshapeParameters(Stage):
     outlier: float = parameter(
         5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
-    ridge: float = parameter(
-        10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
-    )
+    ridge: float = parameter(10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0)
     temporal: float = parameter(
         30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
     )
@@ -140,9 +130,7 @@ class KalmanParameters(Stage):
 class LaplacianParameters(Stage):
     """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7)."""
 
-    w1: float = parameter(
-        0.1, "weight of the depth constraints", unit="1/mm^2", section="4.3", low=1e-6, high=1e3, log=True
-    )
+    w1: float = parameter(0.1, "weight of the depth constraints", unit="1/mm^2", section="4.3", low=1e-6, high=1e3, log=True)
     w2: float = parameter(
         1.5,
         "weight of the Laplacian smoothing",
@@ -262,9 +250,7 @@ class FusionParameters(Stage):
     min_overlap: float = parameter(
         0.3, "a frame that meets a smaller share of the visible model is left out", section="3", low=0, high=1
     )
-    min_views: float = parameter(
-        2.0, "scan points need this much accumulated view weight", section="3", low=0, high=100
-    )
+    min_views: float = parameter(2.0, "scan points need this much accumulated view weight", section="3", low=0, high=100)
 
 
 @dataclass(frozen=True)
@@ -318,9 +304,7 @@ class ShrinkWrapParameters(Stage):
     rigidity_start: float = parameter(
         100.0, "weight of the rigidity of the nodes at first", section="3", low=0, high=1e6, log=True
     )
-    rigidity_end: float = parameter(
-        0.3, "weight of the rigidity of the nodes at last", section="3", low=0, high=1e6, log=True
-    )
+    rigidity_end: float = parameter(0.3, "weight of the rigidity of the nodes at last", section="3", low=0, high=1e6, log=True)
     smoothness: float = parameter(
         0.1,
         "smoothness of neighbouring nodes, as a share of the rigidity weight",

@@ -75,8 +75,18 @@ def ray_cast(camera: Camera, vertices: np.ndarray, triangles: np.ndarray, window
     shape = (v1 - v0, u1 - u0)
     depth, triangle, barycentric = np.zeros(shape), np.full(shape, -1, np.int32), np.zeros((*shape, 3))
     _rasterise(
-        np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int64),
-        camera.fx, camera.fy, camera.cx, camera.cy, u0, v0, cull, depth, triangle, barycentric,
+        np.ascontiguousarray(vertices, np.float64),
+        np.ascontiguousarray(triangles, np.int64),
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        u0,
+        v0,
+        cull,
+        depth,
+        triangle,
+        barycentric,
     )
     return Hits(depth, triangle, barycentric, (u0, v0, u1, v1))
 
@@ -255,9 +265,7 @@ def heat_map(values: np.ndarray, limits: tuple[float, float] | None = None, colo
     return rgb
 
 
-def picture(
-    camera: Camera, vertices: np.ndarray, triangles: np.ndarray, colours=(205, 170, 150), **options
-) -> np.ndarray:
+def picture(camera: Camera, vertices: np.ndarray, triangles: np.ndarray, colours=(205, 170, 150), **options) -> np.ndarray:
     """(H, W, 3) uint8 whole image of a mesh in the camera frame; options as in :func:`shade`."""
     hits = ray_cast(camera, vertices, triangles, cull=True)
     return shade(hits, vertices, triangles, colours, camera=camera, **options)

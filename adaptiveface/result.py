@@ -54,9 +54,20 @@ _FIELDS = {
 
 #: Meshes of every frame, which stay on the disk in long takes.
 MESHES = ("vertices", "v1", "v2", "v3")
-_HEAD_FIELDS = {name: _FIELDS[name] for name in ("triangles", "frontal", "expression_names", "feature_vertices",
-                                                 "feature_ids", "stage_names", "parameters", "colour_only",
-                                                 "held_out_regions")}  # fmt: skip
+_HEAD_FIELDS = {
+    name: _FIELDS[name]
+    for name in (
+        "triangles",
+        "frontal",
+        "expression_names",
+        "feature_vertices",
+        "feature_ids",
+        "stage_names",
+        "parameters",
+        "colour_only",
+        "held_out_regions",
+    )
+}
 _HEAD_FIELDS |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 
 #: How everything that people read calls a result that was tracked without depth.
@@ -199,18 +210,27 @@ class ResultBuilder:
     """
 
     def __init__(
-        self, actor: Actor, parameters: Parameters, n_frames: int, keep_stages: bool = False, colour_only: bool = False,
+        self,
+        actor: Actor,
+        parameters: Parameters,
+        n_frames: int,
+        keep_stages: bool = False,
+        colour_only: bool = False,
         folder: Path | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.actor, self._stages, self._updates = actor, ("v1", "v2", "v3") if keep_stages else (), 0
         self._head = {
-            "triangles": actor.triangles.astype(np.int32), "frontal": actor.frontal.astype(bool),
+            "triangles": actor.triangles.astype(np.int32),
+            "frontal": actor.frontal.astype(bool),
             "expression_names": np.array(actor.expression_names[: parameters.blendshapes.A]),
             "feature_vertices": actor.feature_vertices.astype(np.int32),
-            "feature_ids": actor.feature_ids.astype(np.int32), "stage_names": np.array(STAGE_NAMES),
-            "parameters": np.array(parameters.to_json()), "colour_only": np.array(colour_only),
-            "neutral": actor.neutral.astype(np.float32), "stages": np.array(bool(keep_stages)),
-        }  # fmt: skip
+            "feature_ids": actor.feature_ids.astype(np.int32),
+            "stage_names": np.array(STAGE_NAMES),
+            "parameters": np.array(parameters.to_json()),
+            "colour_only": np.array(colour_only),
+            "neutral": actor.neutral.astype(np.float32),
+            "stages": np.array(bool(keep_stages)),
+        }
         if regions := HeldOut(actor).regions:
             self._head["held_out_regions"] = np.array(regions)
         self.mirrored, self.turned = False, 0

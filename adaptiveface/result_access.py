@@ -64,9 +64,16 @@ class ResultAccess:
             return replace(self, **{name: value[key] for name, value in rows.items() if value is not None})
         index = range(len(self))[key]
         return ResultFrame(
-            index, float(self.timestamps[index]), bool(self.tracked[index]), self.reasons[index], self.rigid[index],
-            self.vertices[index], self.triangles, self.coefficients[index], self.expression_names,
-        )  # fmt: skip
+            index,
+            float(self.timestamps[index]),
+            bool(self.tracked[index]),
+            self.reasons[index],
+            self.rigid[index],
+            self.vertices[index],
+            self.triangles,
+            self.coefficients[index],
+            self.expression_names,
+        )
 
     def __iter__(self) -> Iterator[ResultFrame]:
         """The frames, one after the other."""
@@ -130,8 +137,25 @@ def time_table(values: np.ndarray, timestamps: np.ndarray, names: tuple[str, ...
     return pandas.DataFrame(np.asarray(values, float), index=index, columns=list(names))
 
 
-_PER_FRAME = frozenset((
-    "vertices", "v1", "v2", "v3", "tracked", "skipped", "timestamps", "rigid", "coefficients", "coefficients_initial",
-    "corrective_updates", "sample_state", "residual", "anchor_distance", "adaptive_distance", "reasons", "stage_ms",
-    "held_out",
-))  # fmt: skip
+_PER_FRAME = frozenset(
+    (
+        "vertices",
+        "v1",
+        "v2",
+        "v3",
+        "tracked",
+        "skipped",
+        "timestamps",
+        "rigid",
+        "coefficients",
+        "coefficients_initial",
+        "corrective_updates",
+        "sample_state",
+        "residual",
+        "anchor_distance",
+        "adaptive_distance",
+        "reasons",
+        "stage_ms",
+        "held_out",
+    )
+)

@@ -11,13 +11,9 @@ from typing import Any, Self
 from .errors import ParameterError
 
 
-def parameter(
-    default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None
-):
+def parameter(default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None):
     """A dataclass field with its documentation, range (``low`` to ``high``, ``log`` slider) and the paper's value."""
-    metadata = dict(
-        doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper
-    )
+    metadata = dict(doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper)
     return field(default=default, metadata=metadata)
 
 

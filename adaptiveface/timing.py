@@ -15,8 +15,12 @@ import numpy as np
 from .errors import FileFormatError
 
 #: Frames per second that cameras and programs work with; NTSC's are 1000/1001 of a whole number.
-STANDARD_RATES = tuple(sorted((5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0, 240.0)
-                              + tuple(1000 * n / 1001 for n in (24, 30, 48, 60, 120, 240))))  # fmt: skip
+STANDARD_RATES = tuple(
+    sorted(
+        (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0, 240.0)
+        + tuple(1000 * n / 1001 for n in (24, 30, 48, 60, 120, 240))
+    )
+)
 #: A measured rate this near to a standard one is that one. The times themselves stay as they are.
 RATE_TOLERANCE = 0.005
 #: Rate of a take whose times cannot tell, frames per second.
@@ -221,8 +225,11 @@ def _repaired(index, values, name: str) -> tuple[np.ndarray, np.ndarray, list[st
     wrong = np.setdiff1d(np.arange(len(index)), kept)
     if len(np.setdiff1d(np.flatnonzero(first), kept)) + len(restarts) > 0.5 * first.sum():
         return index[:0], values[:0], [f"{name}: the times are in no order; those of the frame rate are used"]
-    notes = [f"{name}: the clock starts again at frame {index[k]} ({values[k]:.6g} s after {values[k - 1]:.6g} s); the times "
-             "go on from there" for k in restarts[:3]]  # fmt: skip
+    notes = [
+        f"{name}: the clock starts again at frame {index[k]} ({values[k]:.6g} s after {values[k - 1]:.6g} s); the times "
+        "go on from there"
+        for k in restarts[:3]
+    ]
     if len(wrong):
         shown = ", ".join(f"frame {index[k]} ({values[k]:.6g} s)" for k in wrong[:3]) + (", ..." if len(wrong) > 3 else "")
         subject = "1 time does" if len(wrong) == 1 else f"{len(wrong)} times do"

@@ -103,17 +103,20 @@ def _assemble(name: str, parts: list[Part], skin: int) -> Character:
     small = np.linalg.norm(expressions, axis=2) < 0.08
     expressions[small] = 0.0
     return Character(
-        name, np.concatenate([part.vertices for part in parts]),
+        name,
+        np.concatenate([part.vertices for part in parts]),
         np.concatenate([start + part.triangles for start, part in zip(starts, parts, strict=False)]).astype(np.int32),
-        tuple(names), expressions, np.concatenate([part.colours for part in parts]).round().astype(np.uint8), skin,
-    )  # fmt: skip
+        tuple(names),
+        expressions,
+        np.concatenate([part.colours for part in parts]).round().astype(np.uint8),
+        skin,
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of the files characters_NAME.npz")
-    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()),
-                        help="folder of the downloaded wheel")  # fmt: skip
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()), help="folder of the downloaded wheel")
     parser.add_argument("--only", nargs="+", choices=list(RECIPES), default=list(RECIPES))
     parser.add_argument("--sheets", type=Path, help="also draw every expression into this folder")
     arguments = parser.parse_args()
@@ -127,8 +130,10 @@ def main() -> None:
         character = build_character(base, mesh, rest, model, name, RECIPES[name])
         path = arguments.out / f"characters_{name}.npz"
         character.save(path)
-        print(f"{path}: {len(character.neutral)} vertices, {len(character.expressions)} expressions, "
-              f"{path.stat().st_size / 1e3:.0f} kB")  # fmt: skip
+        print(
+            f"{path}: {len(character.neutral)} vertices, {len(character.expressions)} expressions, "
+            f"{path.stat().st_size / 1e3:.0f} kB"
+        )
         if arguments.sheets:
             from characters.sheets import write_sheets
 

@@ -86,9 +86,7 @@ def fair_lids(mean: np.ndarray, anatomy: Anatomy) -> np.ndarray:
     weight = np.where((anatomy.lid_distance > 0.1) & (anatomy.lid_distance < LID_FOLD_MM), 1.0, 1e4)
     normals = vertex_normals(mean, anatomy.mesh.triangles)
     change = anatomy.smoother.smooth(mean, LID_FAIRING_MM, weight) - mean
-    faired = (
-        mean + (change * normals).sum(axis=1, keepdims=True) * normals
-    )  # along the normal: triangles keep their shape
+    faired = mean + (change * normals).sum(axis=1, keepdims=True) * normals  # along the normal: triangles keep their shape
     return 0.5 * (faired + mirrored(faired, anatomy.mesh.mirror))
 
 
@@ -147,9 +145,7 @@ def build(out: Path, cache: Path, subjects: int = SUBJECTS) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="the npz to write")
-    parser.add_argument(
-        "--cache", type=Path, default=Path(tempfile.gettempdir()), help="folder of the downloaded wheel"
-    )
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()), help="folder of the downloaded wheel")
     parser.add_argument("--subjects", type=int, default=SUBJECTS, help="sampled heads (their mirrors are added)")
     parser.add_argument("--sheets", type=Path, help="also draw contact sheets into this folder")
     arguments = parser.parse_args()

@@ -95,10 +95,17 @@ def _score(sensor, frames, actor, colour_only: bool) -> np.ndarray:
     whole, face = whole.finish(), face.finish()
     lips = face.region_error("v4", "lips", None)
     turn = np.percentile(whole.pose_angle, [50, 95])
-    return np.array([
-        *turn, np.median(whole.pose_shift), face.active_share("v1", None), face.active_share("v4", None),
-        whole.active_share("v4", None), lips, sum(whole.lost.values()),
-    ])  # fmt: skip
+    return np.array(
+        [
+            *turn,
+            np.median(whole.pose_shift),
+            face.active_share("v1", None),
+            face.active_share("v4", None),
+            whole.active_share("v4", None),
+            lips,
+            sum(whole.lost.values()),
+        ]
+    )
 
 
 def _collectors(sensor, actor):

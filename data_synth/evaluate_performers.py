@@ -170,13 +170,26 @@ def _figures(evaluations: dict[str, Evaluation]) -> dict:
 
 
 _COLUMNS = (
-    ("surface_median", "median", ".3f"), ("surface_p95", "p95", ".3f"), ("active_share", "active", ".3f"),
-    ("lips", "lips", ".3f"), ("lips_active", "(active)", ".3f"), ("eyes", "eyes", ".3f"), ("brows", "brows", ".3f"),
-    ("cheeks", "cheeks", ".3f"), ("chin", "chin", ".3f"), ("normal", "normal", ".3f"),
-    ("tangential", "tangent.", ".3f"), ("v1_p95", "v1 p95", ".3f"), ("gain_v1", "gain", ".0%"),
-    ("off_p95", "off p95", ".3f"), ("gain_learning", "gain", ".0%"), ("pose_mm", "pose mm", ".2f"),
-    ("pose_degrees", "deg", ".2f"), ("lost", "lost", ".1%"), ("track_ms", "ms", ".1f"),
-)  # fmt: skip
+    ("surface_median", "median", ".3f"),
+    ("surface_p95", "p95", ".3f"),
+    ("active_share", "active", ".3f"),
+    ("lips", "lips", ".3f"),
+    ("lips_active", "(active)", ".3f"),
+    ("eyes", "eyes", ".3f"),
+    ("brows", "brows", ".3f"),
+    ("cheeks", "cheeks", ".3f"),
+    ("chin", "chin", ".3f"),
+    ("normal", "normal", ".3f"),
+    ("tangential", "tangent.", ".3f"),
+    ("v1_p95", "v1 p95", ".3f"),
+    ("gain_v1", "gain", ".0%"),
+    ("off_p95", "off p95", ".3f"),
+    ("gain_learning", "gain", ".0%"),
+    ("pose_mm", "pose mm", ".2f"),
+    ("pose_degrees", "deg", ".2f"),
+    ("lost", "lost", ".1%"),
+    ("track_ms", "ms", ".1f"),
+)
 
 
 def table(rows: list[dict]) -> str:

@@ -70,8 +70,14 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         sensor = SyntheticSensor(
-            options.seed, options.noise, options.neutral_frames, options.frames, options.repeats,
-            feature_noise=options.feature_noise, colour=not options.no_colour, distance=options.distance,
+            options.seed,
+            options.noise,
+            options.neutral_frames,
+            options.frames,
+            options.repeats,
+            feature_noise=options.feature_noise,
+            colour=not options.no_colour,
+            distance=options.distance,
         )
         make_performance(options.out, sensor, options.colour_format)
     except AdaptiveFaceError as error:

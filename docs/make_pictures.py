@@ -47,8 +47,9 @@ def stages(actor, results, sensor) -> None:
     straight = transform_points(np.linalg.inv(best.rigid), truth)
     axes[1].imshow(on_backdrop(portraits.draw(straight), GREY))
     axes[1].set_title("true surface")
-    for axis, name, what in zip(axes[2:], ("v1", "v2", "v3", "v4"),
-                                ("blendshapes", "Laplacian", "adaptive space", "final"), strict=True):  # fmt: skip
+    for axis, name, what in zip(
+        axes[2:], ("v1", "v2", "v3", "v4"), ("blendshapes", "Laplacian", "adaptive space", "final"), strict=True
+    ):
         mesh = getattr(best, name)
         distance = np.full(len(mesh), np.nan)
         distance[frontal] = surface_distance(best.in_camera(mesh), truth, actor.triangles, frontal)
@@ -109,10 +110,14 @@ def performance(actor, results, sensor, count: int = 7, top: float = 3.0) -> Non
         view = face_view(sensor.camera, mesh[None, actor.frontal], 300)
         colour = view.crop(frame.colour, frame.depth)
         added = np.linalg.norm(result.v4 - result.v1, axis=1)
-        columns.append([
-            colour, view.crop(depth_picture(frame.depth), frame.depth), shaded_overlay(colour, view, mesh, triangles),
-            heat_overlay(colour, view, mesh, triangles, added, (0, top)),
-        ])  # fmt: skip
+        columns.append(
+            [
+                colour,
+                view.crop(depth_picture(frame.depth), frame.depth),
+                shaded_overlay(colour, view, mesh, triangles),
+                heat_overlay(colour, view, mesh, triangles, added, (0, top)),
+            ]
+        )
     high = min(len(column[0]) for column in columns)
     rows = [np.hstack([image[:high] for image in row]) for row in zip(*columns, strict=True)]
     wide = rows[0].shape[1]

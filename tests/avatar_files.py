@@ -14,16 +14,25 @@ _CODES = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 #: Bone -> its parent and its place in metres; what VRM demands, and neck and eyes.
 SKELETON = {
-    "hips": (None, (0, 0.9, 0)), "spine": ("hips", (0, 1.1, 0)), "neck": ("spine", (0, 1.45, 0)),
+    "hips": (None, (0, 0.9, 0)),
+    "spine": ("hips", (0, 1.1, 0)),
+    "neck": ("spine", (0, 1.45, 0)),
     "head": ("neck", (0, 1.52, 0)),
-    "leftEye": ("head", (0.03, 1.62, 0.07)), "rightEye": ("head", (-0.03, 1.62, 0.07)),
-    "leftUpperLeg": ("hips", (0.1, 0.85, 0)), "leftLowerLeg": ("leftUpperLeg", (0.1, 0.45, 0)),
-    "leftFoot": ("leftLowerLeg", (0.1, 0.08, 0)), "rightUpperLeg": ("hips", (-0.1, 0.85, 0)),
-    "rightLowerLeg": ("rightUpperLeg", (-0.1, 0.45, 0)), "rightFoot": ("rightLowerLeg", (-0.1, 0.08, 0)),
-    "leftUpperArm": ("spine", (0.18, 1.4, 0)), "leftLowerArm": ("leftUpperArm", (0.42, 1.4, 0)),
-    "leftHand": ("leftLowerArm", (0.65, 1.4, 0)), "rightUpperArm": ("spine", (-0.18, 1.4, 0)),
-    "rightLowerArm": ("rightUpperArm", (-0.42, 1.4, 0)), "rightHand": ("rightLowerArm", (-0.65, 1.4, 0)),
-}  # fmt: skip
+    "leftEye": ("head", (0.03, 1.62, 0.07)),
+    "rightEye": ("head", (-0.03, 1.62, 0.07)),
+    "leftUpperLeg": ("hips", (0.1, 0.85, 0)),
+    "leftLowerLeg": ("leftUpperLeg", (0.1, 0.45, 0)),
+    "leftFoot": ("leftLowerLeg", (0.1, 0.08, 0)),
+    "rightUpperLeg": ("hips", (-0.1, 0.85, 0)),
+    "rightLowerLeg": ("rightUpperLeg", (-0.1, 0.45, 0)),
+    "rightFoot": ("rightLowerLeg", (-0.1, 0.08, 0)),
+    "leftUpperArm": ("spine", (0.18, 1.4, 0)),
+    "leftLowerArm": ("leftUpperArm", (0.42, 1.4, 0)),
+    "leftHand": ("leftLowerArm", (0.65, 1.4, 0)),
+    "rightUpperArm": ("spine", (-0.18, 1.4, 0)),
+    "rightLowerArm": ("rightUpperArm", (-0.42, 1.4, 0)),
+    "rightHand": ("rightLowerArm", (-0.65, 1.4, 0)),
+}
 TEXTURE = (40, 90, 220)  # no other thing in the pictures is blue
 
 
@@ -31,8 +40,16 @@ class Glb:
     """A .glb under construction: ``document`` and its binary chunk."""
 
     def __init__(self) -> None:
-        self.document: dict = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], "buffers": [], "scene": 0,
-                               "scenes": [{"nodes": []}], "nodes": [], "meshes": []}  # fmt: skip
+        self.document: dict = {
+            "asset": {"version": "2.0"},
+            "accessors": [],
+            "bufferViews": [],
+            "buffers": [],
+            "scene": 0,
+            "scenes": [{"nodes": []}],
+            "nodes": [],
+            "meshes": [],
+        }
         self.binary = bytearray()
 
     def view(self, data: bytes, **more) -> int:
@@ -98,9 +115,7 @@ def ball(centre, radii, rows: int = 14, columns: int = 18) -> tuple[np.ndarray, 
     a, b = np.meshgrid(np.linspace(0.02, np.pi - 0.02, rows), np.linspace(0, 2 * np.pi, columns), indexing="ij")
     unit = np.stack([np.sin(a) * np.sin(b), np.cos(a), np.sin(a) * np.cos(b)], axis=-1).reshape(-1, 3)
     i = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    triangles = np.concatenate(
-        [np.stack([i, i + columns, i + 1], 1), np.stack([i + 1, i + columns, i + columns + 1], 1)]
-    )
+    triangles = np.concatenate([np.stack([i, i + columns, i + 1], 1), np.stack([i + 1, i + columns, i + columns + 1], 1)])
     return (
         unit * radii + centre,
         triangles.astype(np.uint16),
@@ -135,9 +150,11 @@ def plain_head(shapes: dict[str, np.ndarray] | None = None, **mesh) -> Glb:
     glb = Glb()
     points, triangles, _, own = head()
     shapes = own if shapes is None else shapes
-    primitive = {"attributes": {"POSITION": glb.accessor(points.astype(np.float32))},
-                 "indices": glb.accessor(triangles.ravel()),
-                 "targets": [{"POSITION": glb.accessor(shape)} for shape in shapes.values()]}  # fmt: skip
+    primitive = {
+        "attributes": {"POSITION": glb.accessor(points.astype(np.float32))},
+        "indices": glb.accessor(triangles.ravel()),
+        "targets": [{"POSITION": glb.accessor(shape)} for shape in shapes.values()],
+    }
     glb.append("meshes", {"primitives": [primitive], "extras": {"targetNames": list(shapes)}} | mesh)
     glb.document["nodes"] = [{"mesh": 0}]
     glb.document["scenes"] = [{"nodes": [0]}]
@@ -163,9 +180,7 @@ def avatar(kind: str = "", names: dict[str, str] | None = None, bones: str = "{}
             glb.document["nodes"][order.index(parent)].setdefault("children", []).append(len(glb.document["nodes"]) - 1)
     inverse = np.tile(np.eye(4, dtype=np.float32), (len(order), 1, 1))
     inverse[:, 3, :3] = [-places[bone] for bone in order]  # column-major
-    glb.append(
-        "skins", {"joints": list(range(len(order))), "inverseBindMatrices": glb.accessor(inverse.reshape(-1, 16))}
-    )
+    glb.append("skins", {"joints": list(range(len(order))), "inverseBindMatrices": glb.accessor(inverse.reshape(-1, 16))})
     picture = io.BytesIO()
     Image.new("RGB", (8, 8), TEXTURE).save(picture, "PNG")
     glb.append("images", {"bufferView": glb.view(picture.getvalue()), "mimeType": "image/png"})
@@ -173,24 +188,26 @@ def avatar(kind: str = "", names: dict[str, str] | None = None, bones: str = "{}
     skin = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0}, "doubleSided": True}
     grey = {"pbrMetallicRoughness": {"baseColorFactor": [0.3, 0.3, 0.3, 1], "metallicFactor": 0.0}, "doubleSided": True}
     glb.document["materials"] = [skin, grey]
-    look = {f"eyeLook{way}{side}": {"Up": [0, 0.01, 0], "Down": [0, -0.01, 0], "In": [-0.01, 0, 0], "Out": [0.01, 0, 0]}[way]
-            for way in ("Up", "Down", "In", "Out") for side in ("Left", "Right")}  # fmt: skip
+    look = {
+        f"eyeLook{way}{side}": {"Up": [0, 0.01, 0], "Down": [0, -0.01, 0], "In": [-0.01, 0, 0], "Out": [0.01, 0, 0]}[way]
+        for way in ("Up", "Down", "In", "Out")
+        for side in ("Left", "Right")
+    }
 
     def mesh(name: str, geometry, bone: str, material: int, targets: dict) -> None:
         vertices, corners, coordinates = geometry
         joints = np.zeros((len(vertices), 4), np.uint8)
         joints[:, 0] = order.index(bone)
         attributes = {
-            "POSITION": glb.accessor((vertices * back).astype(np.float32)), "JOINTS_0": glb.accessor(joints),
+            "POSITION": glb.accessor((vertices * back).astype(np.float32)),
+            "JOINTS_0": glb.accessor(joints),
             "TEXCOORD_0": glb.accessor(coordinates.astype(np.float32)),
             "WEIGHTS_0": glb.accessor(np.tile(np.array([1, 0, 0, 0], np.float32), (len(vertices), 1))),
-        }  # fmt: skip
+        }
         primitive = {"attributes": attributes, "indices": glb.accessor(corners.ravel()), "material": material}
         entry = {"name": name, "primitives": [primitive]}
         if targets:
-            primitive["targets"] = [
-                {"POSITION": glb.accessor((shape * back).astype(np.float32))} for shape in targets.values()
-            ]
+            primitive["targets"] = [{"POSITION": glb.accessor((shape * back).astype(np.float32))} for shape in targets.values()]
             entry["extras"] = {"targetNames": list(targets)}
         number = glb.append("meshes", entry)
         glb.document["scenes"][0]["nodes"].append(glb.append("nodes", {"name": name, "mesh": number, "skin": 0}))
@@ -222,14 +239,27 @@ def _vrm1(order: list[str]) -> dict:
 
 def _vrm0(order: list[str]) -> dict:
     human = [{"bone": bone, "node": number, "useDefaultValues": True} for number, bone in enumerate(order)]
-    return {"specVersion": "0.0", "exporterVersion": "test", "meta": {"title": "test", "version": "1", "author": "test"},
-            "humanoid": {"humanBones": human}, "blendShapeMaster": {"blendShapeGroups": []}, "materialProperties": [],
-            "firstPerson": {}, "secondaryAnimation": {"boneGroups": [], "colliderGroups": []}}  # fmt: skip
+    return {
+        "specVersion": "0.0",
+        "exporterVersion": "test",
+        "meta": {"title": "test", "version": "1", "author": "test"},
+        "humanoid": {"humanBones": human},
+        "blendShapeMaster": {"blendShapeGroups": []},
+        "materialProperties": [],
+        "firstPerson": {},
+        "secondaryAnimation": {"boneGroups": [], "colliderGroups": []},
+    }
 
 
 #: Preset of VRM 1.0 -> the head's shape that shows it.
-PRESET_SHAPES = {"aa": "jawOpen", "blinkLeft": "eyeBlinkLeft", "blinkRight": "eyeBlinkRight", "happy": "mouthSmileLeft",
-                 "ou": "mouthPucker", "sad": "browInnerUp"}  # fmt: skip
+PRESET_SHAPES = {
+    "aa": "jawOpen",
+    "blinkLeft": "eyeBlinkLeft",
+    "blinkRight": "eyeBlinkRight",
+    "happy": "mouthSmileLeft",
+    "ou": "mouthPucker",
+    "sad": "browInnerUp",
+}
 
 
 def vrm_with_presets(kind: str) -> Glb:
@@ -239,16 +269,26 @@ def vrm_with_presets(kind: str) -> Glb:
     face = next(n for n, node in enumerate(glb.document["nodes"]) if node.get("name") == "Face")
     if kind == "VRMC_vrm":
         glb.document["extensions"][kind]["expressions"]["preset"] = {
-            preset: {"isBinary": False, "overrideBlink": "none", "overrideLookAt": "none", "overrideMouth": "none",
-                     "morphTargetBinds": [{"node": face, "index": shapes.index(shape), "weight": 1.0}]}
+            preset: {
+                "isBinary": False,
+                "overrideBlink": "none",
+                "overrideLookAt": "none",
+                "overrideMouth": "none",
+                "morphTargetBinds": [{"node": face, "index": shapes.index(shape), "weight": 1.0}],
+            }
             for preset, shape in PRESET_SHAPES.items()
-        }  # fmt: skip
+        }
     else:
         old = {"aa": "a", "blinkLeft": "blink_l", "blinkRight": "blink_r", "happy": "joy", "ou": "u", "sad": "sorrow"}
         mesh = glb.document["nodes"][face]["mesh"]
         glb.document["extensions"][kind]["blendShapeMaster"]["blendShapeGroups"] = [
-            {"name": f"group {preset}", "presetName": old[preset], "isBinary": False, "materialValues": [],
-             "binds": [{"mesh": mesh, "index": shapes.index(shape), "weight": 100}]}
+            {
+                "name": f"group {preset}",
+                "presetName": old[preset],
+                "isBinary": False,
+                "materialValues": [],
+                "binds": [{"mesh": mesh, "index": shapes.index(shape), "weight": 100}],
+            }
             for preset, shape in PRESET_SHAPES.items()
-        ]  # fmt: skip
+        ]
     return glb

@@ -29,10 +29,16 @@ RAW, CROP, PHOTO, SCALE, PHOTO_CROP = 1024, (192, 180), (4096, 3072), 3.2, 384
 
 class Configuration(c.Structure):
     _fields_ = [
-        ("color_format", c.c_int), ("color_resolution", c.c_int), ("depth_mode", c.c_int), ("fps", c.c_int),
-        ("synchronised", c.c_bool), ("delay", c.c_int32), ("wired", c.c_int), ("subordinate", c.c_uint32),
+        ("color_format", c.c_int),
+        ("color_resolution", c.c_int),
+        ("depth_mode", c.c_int),
+        ("fps", c.c_int),
+        ("synchronised", c.c_bool),
+        ("delay", c.c_int32),
+        ("wired", c.c_int),
+        ("subordinate", c.c_uint32),
         ("led", c.c_bool),
-    ]  # fmt: skip
+    ]
 
 
 def declare(library, name, *arguments, returns=c.c_int):
@@ -72,22 +78,35 @@ def place(x: float = 0.0) -> dict:
 def camera(location: str, purpose: str, size, parameters, x: float, radius: float) -> dict:
     return {
         "Intrinsics": {
-            "ModelParameterCount": 14, "ModelParameters": parameters,
+            "ModelParameterCount": 14,
+            "ModelParameters": parameters,
             "ModelType": "CALIBRATION_LensDistortionModelBrownConrady",
         },
-        "Location": f"CALIBRATION_CameraLocation{location}", "Purpose": f"CALIBRATION_CameraPurpose{purpose}",
-        "MetricRadius": radius, "Rt": place(x), "SensorHeight": size[1], "SensorWidth": size[0],
-        "Shutter": "CALIBRATION_ShutterTypeUndefined", "ThermalAdjustmentParams": {"Params": [0.0] * 12},
-    }  # fmt: skip
+        "Location": f"CALIBRATION_CameraLocation{location}",
+        "Purpose": f"CALIBRATION_CameraPurpose{purpose}",
+        "MetricRadius": radius,
+        "Rt": place(x),
+        "SensorHeight": size[1],
+        "SensorWidth": size[0],
+        "Shutter": "CALIBRATION_ShutterTypeUndefined",
+        "ThermalAdjustmentParams": {"Params": [0.0] * 12},
+    }
 
 
 def motion_sensor(kind: str) -> dict:
     return {
-        "BiasTemperatureModel": [0.0] * 12, "BiasUncertainty": [1e-4] * 3,
-        "Id": "CALIBRATION_InertialSensorId_LSM6DSM", "MixingMatrixTemperatureModel": [1.0, 0, 0, 0] + [0.0] * 32,
-        "ModelTypeMask": 16, "Noise": [1e-4] * 6, "Rt": place(), "SecondOrderScaling": [0.0] * 9,
-        "SensorType": f"CALIBRATION_InertialSensorType_{kind}", "TemperatureBounds": [5.0, 60.0], "TemperatureC": 0,
-    }  # fmt: skip
+        "BiasTemperatureModel": [0.0] * 12,
+        "BiasUncertainty": [1e-4] * 3,
+        "Id": "CALIBRATION_InertialSensorId_LSM6DSM",
+        "MixingMatrixTemperatureModel": [1.0, 0, 0, 0] + [0.0] * 32,
+        "ModelTypeMask": 16,
+        "Noise": [1e-4] * 6,
+        "Rt": place(),
+        "SecondOrderScaling": [0.0] * 9,
+        "SensorType": f"CALIBRATION_InertialSensorType_{kind}",
+        "TemperatureBounds": [5.0, 60.0],
+        "TemperatureC": 0,
+    }
 
 
 def raw_parameters(lens, scale, offset, size) -> list[float]:
@@ -105,9 +124,12 @@ def calibration(depth_lens, colour_lens, baseline) -> bytes:
         camera("PV0", "PhotoVideo", PHOTO, colour, float(baseline) / 1000.0, 0),
     ]
     metadata = {
-        "SerialId": "000000000001", "FactoryCalDate": "1/1/2020 0:00:00 AM GMT", "Version": {"Major": 1, "Minor": 2},
-        "DeviceName": "AzureKinect-PV", "Notes": "PV0_max_radius_invalid",
-    }  # fmt: skip
+        "SerialId": "000000000001",
+        "FactoryCalDate": "1/1/2020 0:00:00 AM GMT",
+        "Version": {"Major": 1, "Minor": 2},
+        "DeviceName": "AzureKinect-PV",
+        "Notes": "PV0_max_radius_invalid",
+    }
     sensors = [motion_sensor("Gyro"), motion_sensor("Accelerometer")]
     content = {"CalibrationInformation": {"Cameras": cameras, "InertialSensors": sensors, "Metadata": metadata}}
     return json.dumps(content, separators=(",", ":")).encode() + b"\0"

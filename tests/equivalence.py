@@ -91,9 +91,7 @@ class Performance:
                 out[number] = tracked.vertices
         return out
 
-    def compare(
-        self, frames: Iterable[RgbdFrame], units_per_metre: float, numbers: Iterable[int] | None = None
-    ) -> Compared:
+    def compare(self, frames: Iterable[RgbdFrame], units_per_metre: float, numbers: Iterable[int] | None = None) -> Compared:
         """``frames`` of a sensor against the same frame numbers of the recording with this unit."""
         got = self.track(frames, numbers)
         key = units_per_metre, tuple(got)

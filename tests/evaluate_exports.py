@@ -34,9 +34,13 @@ from adaptiveface.retargeting.retarget import retarget
 REAL_TAKE = Path(__file__).resolve().parents[2] / "shared/recordings/people/arkit/range_of_motion.csv"
 NODE_PACKAGES = ("gltf-validator@2.0.0-dev.3.10", "three@0.170.0")
 WRITERS: dict[str, Callable] = {
-    "glb": write_glb, "compact.glb": partial(write_glb, compact=True), "usdc": write_usd, "usdz": write_usd,
-    "pc2": write_point_cache, "mdd": write_point_cache,
-}  # fmt: skip
+    "glb": write_glb,
+    "compact.glb": partial(write_glb, compact=True),
+    "usdc": write_usd,
+    "usdz": write_usd,
+    "pc2": write_point_cache,
+    "mdd": write_point_cache,
+}
 Row = tuple[str, str, str]
 
 _THREE = """
@@ -116,10 +120,16 @@ def blender_rows(exports: Exports, pictures: Path | None) -> Iterator[Row]:
         if pictures is not None and kind in ("glb", "usdc"):
             render[key] = str(pictures / f"blender-{name}-{kind}.png")
     rate = next(iter(exports.meshes.values())).fps
-    answer = evaluate(exports.folder, {
-        "fps": [round(rate), round(rate) / rate], "files": {k: str(p) for k, p in files.items()}, "frames": frames,
-        "caches": caches, "render": render,
-    })  # fmt: skip
+    answer = evaluate(
+        exports.folder,
+        {
+            "fps": [round(rate), round(rate) / rate],
+            "files": {k: str(p) for k, p in files.items()},
+            "frames": frames,
+            "caches": caches,
+            "render": render,
+        },
+    )
     for name, kind in exports.paths:
         if kind == "obj":
             points = np.concatenate([answer[f"{name} obj {frame}/points"] for frame in exports.frames[name]])
@@ -150,9 +160,12 @@ def usd_rows(exports: Exports) -> Iterator[Row]:
         for code in exports.codes(name):
             place = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(body.GetPrim()))
             points.append(np.array(body.GetPointsAttr().Get(code), float) @ place[:3, :3] + place[3, :3])
-        yield (f"USD {'.'.join(map(str, Usd.GetVersion()[1:]))}", f"{name}, .{kind}",
-               f"skinned within {exports.distance(name, np.array(points)):.5f} mm; {errors} errors of {len(validators)} "
-               f"validators; {span}")  # fmt: skip
+        yield (
+            f"USD {'.'.join(map(str, Usd.GetVersion()[1:]))}",
+            f"{name}, .{kind}",
+            f"skinned within {exports.distance(name, np.array(points)):.5f} mm; {errors} errors of {len(validators)} "
+            f"validators; {span}",
+        )
 
 
 def web_rows(exports: Exports, modules: Path) -> Iterator[Row]:
@@ -190,9 +203,7 @@ def npm(folder: Path) -> Path | None:
     return folder / "node_modules" if done.returncode == 0 else None
 
 
-def rows(
-    folder: Path, meshes: dict[str, AnimatedMesh], result: Result, pictures: Path | None = None
-) -> Iterator[Row]:
+def rows(folder: Path, meshes: dict[str, AnimatedMesh], result: Result, pictures: Path | None = None) -> Iterator[Row]:
     """Rows of the table, from every program that is here."""
     exports = Exports(folder, meshes, result)
     if blender_python() is not None:
@@ -216,8 +227,10 @@ def main() -> None:
     actor, result = (Actor.load(args.actor), Result.load(args.result)) if args.result else tracked_result()[:2]
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
-    meshes = {"actor": actor_animation(result, actor),
-              "hag": character_animation(load_character("hag"), retarget(result, actor=actor))}  # fmt: skip
+    meshes = {
+        "actor": actor_animation(result, actor),
+        "hag": character_animation(load_character("hag"), retarget(result, actor=actor)),
+    }
     print("| program | export | evaluated inside it |\n|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         for row in rows(Path(folder), meshes, result, args.pictures and args.pictures.resolve()):

@@ -75,8 +75,14 @@ def _child(out: str, options: str) -> None:
     except SensorDisconnectedError as error:
         end = str(error)
     colour = {} if frames[0].colour is None else {"colour": np.stack([f.colour for f in frames])}
-    np.savez(out, depth=np.stack([f.depth for f in frames]), sequence=[f.sequence for f in frames],
-             timestamp=[f.timestamp for f in frames], focal=frames[0].camera.fx, **colour)  # fmt: skip
+    np.savez(
+        out,
+        depth=np.stack([f.depth for f in frames]),
+        sequence=[f.sequence for f in frames],
+        timestamp=[f.timestamp for f in frames],
+        focal=frames[0].camera.fx,
+        **colour,
+    )
     sys.stdout.write("\n" + json.dumps({"listed": listed, "end": end}) + "\n")
     sys.stdout.flush()
 

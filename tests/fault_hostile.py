@@ -283,9 +283,14 @@ def gltf(accessors: list[dict], views: list[dict] | None = None, buffers: list[d
     primitive = {"attributes": {"POSITION": 0}, "targets": shapes}
     names = {"targetNames": [f"jawOpen{k or ''}" for k in range(targets)]}
     return {
-        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "accessors": accessors,
-        "meshes": [{"primitives": [primitive], "extras": names}], "bufferViews": views or [], "buffers": buffers or [],
-    }  # fmt: skip
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "accessors": accessors,
+        "meshes": [{"primitives": [primitive], "extras": names}],
+        "bufferViews": views or [],
+        "buffers": buffers or [],
+    }
 
 
 def beside(uri: str) -> dict:
@@ -430,10 +435,17 @@ CASES: dict[str, Make] = {
     "result.npz of zeros for 8 GiB": result(
         lambda f: zipped(f / "given.npz", ("vertices.npy", npy((13_000, 7000, 3)) + bytes(1 << 20)), ("x.npy", 1 << 30))
     ),
-    "character.npz of 10^6 vertices and 1000 shapes": character("c.npz", lambda f: np.savez_compressed(
-        f / "c.npz", neutral=np.zeros((1_000_000, 3), np.float32), triangles=np.zeros((1, 3), np.uint32),
-        moving=np.zeros(1, np.uint32), expressions=np.zeros((1000, 1, 3), np.int16),
-        expression_names=np.array([f"e{k}" for k in range(1000)]))),  # fmt: skip
+    "character.npz of 10^6 vertices and 1000 shapes": character(
+        "c.npz",
+        lambda f: np.savez_compressed(
+            f / "c.npz",
+            neutral=np.zeros((1_000_000, 3), np.float32),
+            triangles=np.zeros((1, 3), np.uint32),
+            moving=np.zeros(1, np.uint32),
+            expressions=np.zeros((1000, 1, 3), np.int16),
+            expression_names=np.array([f"e{k}" for k in range(1000)]),
+        ),
+    ),
     "OBJ of 10^7 faces": obj(lambda: VERTICES + b"f 1 2 3\n" * MANY),
     "OBJ of 10^7 vertices": obj(lambda: b"v 0 0 0\n" * MANY),
     "OBJ of 10^7 empty lines": obj(lambda: VERTICES + b"\n" * MANY),
@@ -442,12 +454,33 @@ CASES: dict[str, Make] = {
     ".glb: JSON [[],[],...": character("c.glb", glb(b'{"a":[' + b"[]," * 20_000_000 + b"[]]}")),
     ".glb: JSON nested 10^6 deep": character("c.glb", glb(b"[" * 1_000_000)),
     ".glb is 3 GiB, sparse": character("c.glb", sparse("c.glb", 3 << 30)),
-    ".glb: 10^8 values without data": character("c.glb", glb(gltf(
-        [{"componentType": 5126, "type": "VEC3", "count": 90_000_000, "sparse": {"count": 1, "indices": {}, "values": {}}}]))),
-    ".glb: one view for 10,000 shapes": character("c.glb", glb(gltf(
-        [{"componentType": 5126, "type": "VEC3", "count": 300_000, "bufferView": 0}],
-        [{"buffer": 0, "byteLength": 3_600_000}], [{"byteLength": 3_600_000}], targets=10_000),
-        np.arange(900_000, dtype=np.float32).tobytes())),
+    ".glb: 10^8 values without data": character(
+        "c.glb",
+        glb(
+            gltf(
+                [
+                    {
+                        "componentType": 5126,
+                        "type": "VEC3",
+                        "count": 90_000_000,
+                        "sparse": {"count": 1, "indices": {}, "values": {}},
+                    }
+                ]
+            )
+        ),
+    ),
+    ".glb: one view for 10,000 shapes": character(
+        "c.glb",
+        glb(
+            gltf(
+                [{"componentType": 5126, "type": "VEC3", "count": 300_000, "bufferView": 0}],
+                [{"buffer": 0, "byteLength": 3_600_000}],
+                [{"byteLength": 3_600_000}],
+                targets=10_000,
+            ),
+            np.arange(900_000, dtype=np.float32).tobytes(),
+        ),
+    ),
     ".glb: its buffer is a pipe": character("c.glb", beside_pipe),
     ".glb: its buffer links to /dev/zero": character("c.glb", beside_endless),
     "take of 10^7 rows": take_csv(rows("00:00:00:00,61,0", HEADER_OF_TAKE)),

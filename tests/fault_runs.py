@@ -282,9 +282,12 @@ def main() -> int:
         bad = [(seed, o.problem) for seed, o in enumerate(outcomes) if o.problem]
         failures += len(bad)
         relock, off = [o.relock for o in outcomes], [o.off for o in outcomes]
-        print(f"{fault:<28}{len(outcomes):>5}{len(outcomes) - len(bad):>6}"
-              f"{f'{np.median(relock):.0f}, at most {max(relock)} frames':>24}"
-              f"{f'{np.median(off):.2f}, at most {max(off):.2f}':>22}", flush=True)  # fmt: skip
+        print(
+            f"{fault:<28}{len(outcomes):>5}{len(outcomes) - len(bad):>6}"
+            f"{f'{np.median(relock):.0f}, at most {max(relock)} frames':>24}"
+            f"{f'{np.median(off):.2f}, at most {max(off):.2f}':>22}",
+            flush=True,
+        )
         for seed, problem in bad[:5]:
             print(f"    seed {seed}: {problem}", flush=True)
     return 1 if failures else 0

@@ -64,10 +64,15 @@ def mesh(take: int) -> AnimatedMesh:
     rng, frames, vertices, shapes = np.random.default_rng(take), 12 - 4 * take, 1500, 4
     triangles = np.stack([np.arange(vertices - 2), np.arange(1, vertices - 1), np.arange(2, vertices)], axis=1).astype(np.int32)
     return AnimatedMesh(
-        "head", rng.normal(0, 60, (vertices, 3)), triangles, tuple(f"shape{k}" for k in range(shapes)),
-        rng.normal(0, 2, (shapes, vertices, 3)), rng.random((frames, shapes)), np.arange(frames) / 30,
+        "head",
+        rng.normal(0, 60, (vertices, 3)),
+        triangles,
+        tuple(f"shape{k}" for k in range(shapes)),
+        rng.normal(0, 2, (shapes, vertices, 3)),
+        rng.random((frames, shapes)),
+        np.arange(frames) / 30,
         np.tile(np.eye(4), (frames, 1, 1)),
-    )  # fmt: skip
+    )
 
 
 def pictures(take: int) -> Iterator[np.ndarray]:
@@ -153,9 +158,12 @@ def writers(folder: Path) -> list[Writer]:
         Writer("actor.npz", rig, lambda p: digest(Actor.load(p).neutral)),
         Writer("result.npz", lambda p, take: results[take].save(p), lambda p: digest(Result.load(p).vertices)),
         Writer("model.npz", face_model, lambda p: digest(load_face_model(p).mean)),
-        Writer("face.task", lambda p, take: model_file._store(bytes([65 + take]) * (4 << 20), p),
-               lambda p: {4 << 20: hashlib.sha256(p.read_bytes()).hexdigest()}[p.stat().st_size]),
-    ]  # fmt: skip
+        Writer(
+            "face.task",
+            lambda p, take: model_file._store(bytes([65 + take]) * (4 << 20), p),
+            lambda p: {4 << 20: hashlib.sha256(p.read_bytes()).hexdigest()}[p.stat().st_size],
+        ),
+    ]
 
 
 # ---- one run -------------------------------------------------------------------------------------------------------
@@ -211,8 +219,9 @@ def judge(writer: Writer, path: Path, known: dict[int, object], status: int, par
     return state
 
 
-def run(writer: Writer, fault: str, place: Path, old: Path, known: dict[int, object], seconds: float, size: int,
-        rng: random.Random) -> str:  # fmt: skip
+def run(
+    writer: Writer, fault: str, place: Path, old: Path, known: dict[int, object], seconds: float, size: int, rng: random.Random
+) -> str:
     """Write take 1 over take 0 in ``place`` under a fault."""
     path = place / writer.name
     copy = shutil.copytree if old.is_dir() else shutil.copy2

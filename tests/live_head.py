@@ -15,9 +15,14 @@ from adaptiveface.sensors.live import RawFrame
 
 #: A coarse head, made in a second.
 QUICK = Parameters().set(
-    fusion__voxel=4.0, fusion__passes=1, fusion__iterations=5, fit__iterations=5, shrink_wrap__iterations=1,
-    shrink_wrap__detail_iterations=0, adaptive_pca__valid_min=0.01,
-)  # fmt: skip
+    fusion__voxel=4.0,
+    fusion__passes=1,
+    fusion__iterations=5,
+    fit__iterations=5,
+    shrink_wrap__iterations=1,
+    shrink_wrap__detail_iterations=0,
+    adaptive_pca__valid_min=0.01,
+)
 
 
 class HeadDriver:

@@ -13,8 +13,16 @@ import numpy as np
 
 _MAGIC = 0x0052494E
 _INT, _GENERAL, _REMOVED, _DATA_BEGIN, _STATE_READY, _DATA, _END, _ADDED, _SEEK_TABLE = (
-    0x03, 0x06, 0x07, 0x08, 0x09, 0x0A, 0x0B, 0x0D, 0x0E
-)  # fmt: skip
+    0x03,
+    0x06,
+    0x07,
+    0x08,
+    0x09,
+    0x0A,
+    0x0B,
+    0x0D,
+    0x0E,
+)
 #: name -> node name, node type, pixel format of OpenNI 1, bytes per pixel
 _NODES = {"depth": (b"Depth\0", 2, 4, 2), "colour": (b"Image\0", 3, 1, 3)}
 DEPTH_1_MM, DEPTH_100_UM, RGB888, YUV422 = 100, 101, 200, 201
@@ -84,22 +92,28 @@ class OniWriter:
 
     def _added(self, name: str, frames: int, last_time: int, seek_table: int) -> None:
         text, kind, *_ = _NODES[name]
-        fields = struct.pack("<I", len(text)) + text + struct.pack("<I4sIQQQ", kind, b"NONE", frames, 0, last_time,
-                                                                   seek_table)  # fmt: skip
+        fields = struct.pack("<I", len(text)) + text + struct.pack("<I4sIQQQ", kind, b"NONE", frames, 0, last_time, seek_table)
         self._record(_ADDED, self._nodes[name]["id"], fields)
 
     def _properties(self, name: str, pixel_format: int) -> None:
         (width, height), (_, _, old_format, bytes_per_pixel) = self._nodes[name]["size"], _NODES[name]
         mode = struct.pack("<III", width, height, self._fps)
         properties = {
-            "oniRequiredFrameSize": width * height * bytes_per_pixel, "xnIsGenerating": 1,
+            "oniRequiredFrameSize": width * height * bytes_per_pixel,
+            "xnIsGenerating": 1,
             **({"xnDeviceMaxDepth": 10_000} if name == "depth" else {}),
-            "xnSupportedMapOutputModesCount": 1, "xnSupportedMapOutputModes": mode, "xnMapOutputMode": mode,
-            "xnSupportedPixelFormats": struct.pack("<I", 1 << (old_format - 1)), "xnPixelFormat": old_format,
-            "oniPixelFormat": pixel_format, "xnFOV": struct.pack("<dd", *self._fov), "Mirror": 1,
-            "xnMirror": self._mirror, "Cropping": 1,
+            "xnSupportedMapOutputModesCount": 1,
+            "xnSupportedMapOutputModes": mode,
+            "xnMapOutputMode": mode,
+            "xnSupportedPixelFormats": struct.pack("<I", 1 << (old_format - 1)),
+            "xnPixelFormat": old_format,
+            "oniPixelFormat": pixel_format,
+            "xnFOV": struct.pack("<dd", *self._fov),
+            "Mirror": 1,
+            "xnMirror": self._mirror,
+            "Cropping": 1,
             "xnCropping": struct.pack("<IHHHH", 0, 0, 0, 0, 0),  # without it the player delivers no frame at all
-        }  # fmt: skip
+        }
         for key, value in properties.items():
             kind, content = (_INT, struct.pack("<Q", value)) if isinstance(value, int) else (_GENERAL, value)
             text = key.encode() + b"\0"

@@ -20,10 +20,17 @@ from adaptiveface.retargeting.retarget import retarget
 
 #: One-sided and small shapes that the 23 expressions cannot say.
 FACES = (
-    {"browDownLeft": 0.8}, {"mouthPressRight": 0.7, "mouthPressLeft": 0.7}, {"eyeWideLeft": 0.9, "eyeWideRight": 0.9},
-    {"eyeSquintRight": 0.8}, {"mouthDimpleLeft": 0.8}, {"noseSneerRight": 0.9}, {"jawOpen": 0.5, "mouthClose": 0.4},
-    {"mouthFrownLeft": 0.8, "mouthSmileRight": 0.6}, {"cheekSquintLeft": 0.7, "eyeBlinkLeft": 0.9}, {},
-)  # fmt: skip
+    {"browDownLeft": 0.8},
+    {"mouthPressRight": 0.7, "mouthPressLeft": 0.7},
+    {"eyeWideLeft": 0.9, "eyeWideRight": 0.9},
+    {"eyeSquintRight": 0.8},
+    {"mouthDimpleLeft": 0.8},
+    {"noseSneerRight": 0.9},
+    {"jawOpen": 0.5, "mouthClose": 0.4},
+    {"mouthFrownLeft": 0.8, "mouthSmileRight": 0.6},
+    {"cheekSquintLeft": 0.7, "eyeBlinkLeft": 0.9},
+    {},
+)
 
 
 @pytest.fixture(scope="module")

@@ -51,9 +51,15 @@ def performance() -> Performance:
     time = np.linspace(0, 1, FRAMES)
     curves = np.zeros((FRAMES, len(ARKIT_NAMES)))
     for name, curve in {
-        "jawOpen": time, "eyeBlinkLeft": time[::-1], "mouthSmileLeft": 0.5 * time, "mouthSmileRight": 0.5 * time,
-        "eyeLookOutLeft": time, "eyeLookInRight": time, "eyeLookDownLeft": 0.5 * time, "eyeLookDownRight": 0.5 * time,
-    }.items():  # fmt: skip
+        "jawOpen": time,
+        "eyeBlinkLeft": time[::-1],
+        "mouthSmileLeft": 0.5 * time,
+        "mouthSmileRight": 0.5 * time,
+        "eyeLookOutLeft": time,
+        "eyeLookInRight": time,
+        "eyeLookDownLeft": 0.5 * time,
+        "eyeLookDownRight": 0.5 * time,
+    }.items():
         curves[:, ARKIT_NAMES.index(name)] = curve
     rigid = np.tile(np.eye(4), (FRAMES, 1, 1))
     rigid[:, :3, :3] = np.diag([1.0, -1, -1]) @ turns(time)
@@ -76,8 +82,12 @@ def tracks(path: Path) -> dict[tuple[str, str], np.ndarray]:
     document = parsed(path)[0]
     added = document["animations"][-1]
     assert added["name"].startswith(ANIMATION)
-    return {(document["nodes"][c["target"]["node"]].get("name", ""), c["target"]["path"]):
-            values(path, added["samplers"][c["sampler"]]["output"]) for c in added["channels"]}  # fmt: skip
+    return {
+        (document["nodes"][c["target"]["node"]].get("name", ""), c["target"]["path"]): values(
+            path, added["samplers"][c["sampler"]]["output"]
+        )
+        for c in added["channels"]
+    }
 
 
 def world_rotations(path: Path, name: str) -> np.ndarray:
@@ -160,9 +170,7 @@ def test_times_are_those_of_the_performance(tmp_path, performance):
     Avatar(avatar().save(tmp_path / "a.glb")).write(tmp_path / "out.glb", performance)
     animation = parsed(tmp_path / "out.glb")[0]["animations"][0]
     for sampler in animation["samplers"]:
-        np.testing.assert_allclose(
-            values(tmp_path / "out.glb", sampler["input"])[:, 0], performance.timestamps, atol=1e-6
-        )
+        np.testing.assert_allclose(values(tmp_path / "out.glb", sampler["input"])[:, 0], performance.timestamps, atol=1e-6)
 
 
 @pytest.mark.parametrize("frames", [1, 2])
@@ -177,10 +185,22 @@ def test_short_takes(tmp_path, performance, modules, frames):
 # ---- bones ----
 
 
-@pytest.mark.parametrize(("kind", "bones"), [
-    ("", "{}"), ("", "mixamorig:{}"), ("", "J_Bip_C_{}"), ("", "CC_Base_{}"), ("", "DEF-{}"), ("", "Bip01 {}"),
-    ("", "{}.x"), ("", "c_{}_jnt"), ("", "ValveBiped.Bip01_{}1"), ("VRM", "Bone{}_x"), ("VRMC_vrm", "irgendwas{}"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "bones"),
+    [
+        ("", "{}"),
+        ("", "mixamorig:{}"),
+        ("", "J_Bip_C_{}"),
+        ("", "CC_Base_{}"),
+        ("", "DEF-{}"),
+        ("", "Bip01 {}"),
+        ("", "{}.x"),
+        ("", "c_{}_jnt"),
+        ("", "ValveBiped.Bip01_{}1"),
+        ("VRM", "Bone{}_x"),
+        ("VRMC_vrm", "irgendwas{}"),
+    ],
+)
 def test_head_neck_and_eyes_turn_as_the_performer(tmp_path, performance, kind, bones):
     Avatar(avatar(kind, bones=bones).save(tmp_path / "a.glb")).write(tmp_path / "out.glb", performance)
     facing = np.diag([-1.0, 1, -1]) if kind == "VRM" else np.eye(3)
@@ -194,9 +214,7 @@ def test_head_neck_and_eyes_turn_as_the_performer(tmp_path, performance, kind, b
     for side in ("Left", "Right"):
         eye = np.swapaxes(expected, 1, 2) @ world_rotations(out, bones.format(f"{side}Eye"))
         look = (facing @ eye @ facing)[:, :, 2]  # where the eye looks, in the head's own axes
-        np.testing.assert_allclose(
-            np.arctan2(look[:, 0], look[:, 2]), EYE_YAW * time, atol=0.02
-        )  # to the subject's left
+        np.testing.assert_allclose(np.arctan2(look[:, 0], look[:, 2]), EYE_YAW * time, atol=0.02)  # to the subject's left
         np.testing.assert_allclose(np.arcsin(look[:, 1]), -0.5 * EYE_PITCH * time, atol=0.02)  # down
 
 
@@ -214,9 +232,7 @@ def test_bones_with_rest_rotations_scales_and_matrices(tmp_path, performance, mo
     rest = (rest * Rotation.from_euler("xyz", [30, 40, 50], degrees=True)).as_matrix()
     path = glb.save(tmp_path / "a.glb")
     Avatar(path, unit=1000).write(tmp_path / "out.glb", performance)
-    np.testing.assert_allclose(
-        world_rotations(tmp_path / "out.glb", "Head"), turns(performance.timestamps) @ rest, atol=1e-6
-    )
+    np.testing.assert_allclose(world_rotations(tmp_path / "out.glb", "Head"), turns(performance.timestamps) @ rest, atol=1e-6)
     neck = next(n for n in parsed(tmp_path / "out.glb")[0]["nodes"] if n["name"] == "Neck")
     assert "matrix" not in neck
     np.testing.assert_allclose(neck["scale"], [2, 2, 2], atol=1e-9)
@@ -242,14 +258,10 @@ def test_vrm_range_maps_hold_the_eyes(tmp_path, performance, kind):
     else:
         limit = {"curve": [0, 0, 0, 1, 1, 1, 1, 0], "xRange": 90, "yRange": 9}
         names = ("HorizontalInner", "HorizontalOuter", "VerticalDown", "VerticalUp")
-        glb.document["extensions"][kind]["firstPerson"] = {"lookAtTypeName": "Bone"} | {
-            f"lookAt{n}": limit for n in names
-        }
+        glb.document["extensions"][kind]["firstPerson"] = {"lookAtTypeName": "Bone"} | {f"lookAt{n}": limit for n in names}
     Avatar(glb.save(tmp_path / "a.vrm")).write(tmp_path / "out.vrm", performance)
     eye = Rotation.from_quat(tracks(tmp_path / "out.vrm")["LeftEye", "rotation"][-1])
-    assert np.degrees(eye.magnitude()) == pytest.approx(
-        np.hypot(np.degrees(EYE_YAW), np.degrees(EYE_PITCH / 2)) / 10, rel=0.02
-    )
+    assert np.degrees(eye.magnitude()) == pytest.approx(np.hypot(np.degrees(EYE_YAW), np.degrees(EYE_PITCH / 2)) / 10, rel=0.02)
 
 
 def test_a_head_without_bones_turns_about_itself_and_moves(tmp_path, performance):
@@ -268,10 +280,13 @@ def test_of_a_figure_without_bones_only_the_head_turns(tmp_path, performance):
     glb = plain_head()
     glb.append("meshes", {"primitives": [{"attributes": glb.document["meshes"][0]["primitives"][0]["attributes"]}]})
     glb.document["nodes"] = [
-        {"name": "root", "scale": [2] * 3, "children": [1, 2, 4]}, {"name": "body", "mesh": 1, "translation": [0, -1, 0]},
-        {"name": "headGroup", "translation": [0, 0.1, 0], "children": [3, 5]}, {"name": "face", "mesh": 0},
-        {"name": "foot", "mesh": 1, "translation": [0, -2, 0]}, {"name": "hair", "mesh": 1},
-    ]  # fmt: skip
+        {"name": "root", "scale": [2] * 3, "children": [1, 2, 4]},
+        {"name": "body", "mesh": 1, "translation": [0, -1, 0]},
+        {"name": "headGroup", "translation": [0, 0.1, 0], "children": [3, 5]},
+        {"name": "face", "mesh": 0},
+        {"name": "foot", "mesh": 1, "translation": [0, -2, 0]},
+        {"name": "hair", "mesh": 1},
+    ]
     Avatar(glb.save(tmp_path / "a.glb")).write(tmp_path / "out.glb", performance)
     assert {name for name, path in tracks(tmp_path / "out.glb") if path != "weights"} == {"headGroup"}
 
@@ -291,9 +306,7 @@ def test_a_character_that_we_exported_performs_again(tmp_path, performance):
 def test_where_no_bone_is_named_head_the_one_that_carries_the_face_turns(tmp_path, performance):
     said = Avatar(avatar(bones="knochen{}q").save(tmp_path / "a.glb")).write(tmp_path / "out.glb", performance)
     assert any("knochenHeadq" in line for line in said)
-    np.testing.assert_allclose(
-        world_rotations(tmp_path / "out.glb", "knochenHeadq"), turns(performance.timestamps), atol=1e-6
-    )
+    np.testing.assert_allclose(world_rotations(tmp_path / "out.glb", "knochenHeadq"), turns(performance.timestamps), atol=1e-6)
 
 
 def test_a_skeleton_that_the_face_does_not_hang_on_is_left_alone(tmp_path, performance):
@@ -376,10 +389,15 @@ def test_a_glb_becomes_gltf_where_that_is_asked_for(tmp_path, performance, modul
     np.testing.assert_allclose(Avatar(tmp_path / "out.gltf").character.neutral, Avatar(path).character.neutral)
 
 
-@pytest.mark.parametrize(("name", "out", "reason"), [
-    ("a.glb", "a.glb", "also read"), ("a.glb", "out.vrm", "must end in .glb or .gltf"), ("a.vrm", "out.obj", ".vrm"),
-    ("a.vrm", "a.vrm", "also read"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "out", "reason"),
+    [
+        ("a.glb", "a.glb", "also read"),
+        ("a.glb", "out.vrm", "must end in .glb or .gltf"),
+        ("a.vrm", "out.obj", ".vrm"),
+        ("a.vrm", "a.vrm", "also read"),
+    ],
+)
 def test_names_that_are_refused(tmp_path, performance, name, out, reason):
     path = avatar("VRMC_vrm" if name.endswith("vrm") else "").save(tmp_path / name)
     before = path.read_bytes()
@@ -467,9 +485,7 @@ def test_mutated_avatars_are_written_or_end_in_one_clear_error(tmp_path, perform
 # ---- three.js ----
 
 
-def played(
-    folder: Path, modules: Path, file: Path, bone: str | None, times: list[float]
-) -> tuple[dict, list[np.ndarray]]:
+def played(folder: Path, modules: Path, file: Path, bone: str | None, times: list[float]) -> tuple[dict, list[np.ndarray]]:
     answer = web.ask(folder / "page", modules, page(f"x{file.suffix}", times, bone), {f"x{file.suffix}": file})
     return answer, [web.picture(f["picture"], folder / f"{n}.png") for n, f in enumerate(answer["frames"])]
 
@@ -488,7 +504,8 @@ def test_three_vrm_plays_it_with_its_texture(tmp_path, performance, modules, kin
     assert answer["vrm"] == {"": None, "VRM": "0", "VRMC_vrm": "1"}[kind]
     assert answer["moved"][1] > 0.02  # the jaw opens by 30 mm
     assert angle(answer["frames"][0]["head"], answer["frames"][1]["head"]) == pytest.approx(
-        np.degrees(Rotation.from_matrix(turns(np.array([1.0]))).magnitude()[0]), abs=0.1)  # fmt: skip
+        np.degrees(Rotation.from_matrix(turns(np.array([1.0]))).magnitude()[0]), abs=0.1
+    )
     index = list(head()[3]).index("jawOpen")
     assert answer["frames"][1]["weights"]["Face"][index] == pytest.approx(0.999, abs=1e-3)
     for picture in pictures:  # the face has the blue of its texture, the picture's middle above all
@@ -497,10 +514,15 @@ def test_three_vrm_plays_it_with_its_texture(tmp_path, performance, modules, kin
     assert (np.abs(pictures[0].astype(int) - pictures[1]) > 24).any(axis=2).sum() > 300
 
 
-@pytest.mark.parametrize(("name", "bone", "pixels"), [
-    ("ready_player_me.glb", "Head", 3000), ("ready_player_me_draco.glb", "Head", 3000), ("vroid_meshopt.glb", "Head", 3000),
-    ("raccoon", "head_geo002", 3000),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "bone", "pixels"),
+    [
+        ("ready_player_me.glb", "Head", 3000),
+        ("ready_player_me_draco.glb", "Head", 3000),
+        ("vroid_meshopt.glb", "Head", 3000),
+        ("raccoon", "head_geo002", 3000),
+    ],
+)
 def test_three_js_plays_avatars_of_three_makers(tmp_path, performance, modules, name, bone, pixels):
     path = modules / RACCOON[1] if name == "raccoon" else AVATARS / name
     if not path.is_file():

@@ -46,11 +46,19 @@ def same_head(character: Character, tolerance: float = 0.01) -> None:
 # ---- what was shown wrong ----
 
 
-@pytest.mark.parametrize(("name", "size"), [
-    ("plain.glb", (159, 220, 179)), ("skin_cm_zup.glb", (159, 220, 179)), ("default_weights.glb", (239, 220, 179)),
-    ("whole_and_halves.glb", (159, 220, 179)), ("other_scene.glb", (159, 220, 179)), ("strip.glb", (159, 220, 179)),
-    ("cm_no_scale.glb", (15918, 21973, 17908)), ("vrm1_presets.vrm", (159, 220, 179)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("plain.glb", (159, 220, 179)),
+        ("skin_cm_zup.glb", (159, 220, 179)),
+        ("default_weights.glb", (239, 220, 179)),
+        ("whole_and_halves.glb", (159, 220, 179)),
+        ("other_scene.glb", (159, 220, 179)),
+        ("strip.glb", (159, 220, 179)),
+        ("cm_no_scale.glb", (15918, 21973, 17908)),
+        ("vrm1_presets.vrm", (159, 220, 179)),
+    ],
+)
 def test_cases(name, size):
     if not CASES.is_dir():
         pytest.skip(f"no cases at {CASES}")
@@ -75,9 +83,7 @@ def test_an_empty_arkit_shape_leaves_its_place_to_the_vowel():
         pytest.skip(f"no avatars at {AVATARS}")
     character = load_character(AVATARS / "vroid_meshopt.glb")
     assert moved(character, jawOpen=1) > 5  # its own jawOpen moves nothing; Fcl_MTH_A opens the mouth
-    assert moved(character, eyeBlinkLeft=1) == pytest.approx(
-        24.3, abs=0.5
-    )  # and is not closed twice by Fcl_EYE_Close_L
+    assert moved(character, eyeBlinkLeft=1) == pytest.approx(24.3, abs=0.5)  # and is not closed twice by Fcl_EYE_Close_L
     assert any("move nothing" in note and "jawOpen" in note for note in character.notes)
 
 
@@ -117,8 +123,11 @@ def test_quantised_positions_and_targets_under_a_skin(tmp_path):
     middle, half = np.array([0, 1.62, 0]), 0.13
     glb = Glb()
     packed = np.rint(32767 * (points - middle) / half).astype(np.int16)
-    primitive = {"attributes": {"POSITION": glb.accessor(packed, stride=8, normalized=True)},
-                 "indices": glb.accessor(triangles.ravel()), "targets": []}  # fmt: skip
+    primitive = {
+        "attributes": {"POSITION": glb.accessor(packed, stride=8, normalized=True)},
+        "indices": glb.accessor(triangles.ravel()),
+        "targets": [],
+    }
     for number, shape in enumerate(shapes.values()):
         if number % 2:
             target = glb.accessor(np.rint(32767 * shape / half).astype(np.int16), stride=8, normalized=True)
@@ -136,8 +145,13 @@ def test_quantised_positions_and_targets_under_a_skin(tmp_path):
 
 def test_without_inverse_bind_matrices_the_joints_alone_count(tmp_path):
     glb = plain_head()
-    skinned(glb, np.eye(4)[None], np.eye(4)[None], np.tile(np.array([1, 0, 0, 0], np.float32), (len(head()[0]), 1)),
-            np.zeros((len(head()[0]), 4), np.uint8))  # fmt: skip
+    skinned(
+        glb,
+        np.eye(4)[None],
+        np.eye(4)[None],
+        np.tile(np.array([1, 0, 0, 0], np.float32), (len(head()[0]), 1)),
+        np.zeros((len(head()[0]), 4), np.uint8),
+    )
     del glb.document["skins"][0]["inverseBindMatrices"]
     same_head(load_character(glb.save(tmp_path / "bare.glb")))
 
@@ -207,8 +221,11 @@ def test_triangles_in_every_form(tmp_path, mode):
     order = {"list": [0, 1, 2, 2, 1, 3], "strip": [0, 1, 2, 3], "fan": [0, 1, 3, 2], "corners": None}[mode]
     points = square[[0, 1, 2, 2, 1, 3]] if order is None else square
     glb = Glb()
-    primitive = {"attributes": {"POSITION": glb.accessor(points)}, "targets": [{"POSITION": glb.accessor(0.1 * points)}],
-                 "mode": {"strip": 5, "fan": 6}.get(mode, 4)}  # fmt: skip
+    primitive = {
+        "attributes": {"POSITION": glb.accessor(points)},
+        "targets": [{"POSITION": glb.accessor(0.1 * points)}],
+        "mode": {"strip": 5, "fan": 6}.get(mode, 4),
+    }
     if order:
         primitive["indices"] = glb.accessor(np.array(order, np.uint8))
     glb.append("meshes", {"primitives": [primitive], "extras": {"targetNames": ["jawOpen"]}})
@@ -224,8 +241,12 @@ def test_strips_with_stitches_lose_only_the_stitches(tmp_path):
     points = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [1, 0, 0], [1.1, 0, 0], [1, 0.1, 0]], np.float32)
     glb = Glb()
     strip = [0, 1, 2, 2, 3, 3, 4, 5]
-    primitive = {"attributes": {"POSITION": glb.accessor(points)}, "targets": [{"POSITION": glb.accessor(points)}], "mode": 5,
-                 "indices": glb.accessor(np.array(strip, np.uint16))}  # fmt: skip
+    primitive = {
+        "attributes": {"POSITION": glb.accessor(points)},
+        "targets": [{"POSITION": glb.accessor(points)}],
+        "mode": 5,
+        "indices": glb.accessor(np.array(strip, np.uint16)),
+    }
     glb.append("meshes", {"primitives": [primitive], "extras": {"targetNames": ["jawOpen"]}})
     glb.document |= {"nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}]}
     triangles = load_character(glb.save(tmp_path / "strip.glb")).triangles
@@ -258,26 +279,37 @@ def test_sparse_targets_and_targets_without_data(tmp_path):
     at = np.flatnonzero(np.abs(jaw).max(axis=1) > 0).astype(np.uint16)
     target = glb.document["meshes"][0]["primitives"][0]["targets"][0]
     glb.document["accessors"][target["POSITION"]] = {
-        "componentType": 5126, "count": len(points), "type": "VEC3",
-        "sparse": {"count": len(at), "indices": {"bufferView": glb.view(at.tobytes()), "componentType": 5123},
-                   "values": {"bufferView": glb.view(jaw[at].tobytes())}},
-    }  # fmt: skip
+        "componentType": 5126,
+        "count": len(points),
+        "type": "VEC3",
+        "sparse": {
+            "count": len(at),
+            "indices": {"bufferView": glb.view(at.tobytes()), "componentType": 5123},
+            "values": {"bufferView": glb.view(jaw[at].tobytes())},
+        },
+    }
     same_head(load_character(glb.save(tmp_path / "sparse.glb")))
 
 
 # ---- one movement, once ----
 
 
-@pytest.mark.parametrize(("names", "driven", "reach"), [
-    (("browInnerUp", "browInnerUp_L", "browInnerUp_R"), {"browInnerUp"}, 1),
-    (("browInnerUpLeft", "browInnerUp", "browInnerUpRight"), {"browInnerUp"}, 1),
-    (("browInnerUp_L", "browInnerUp_R"), {"browInnerUp"}, 2),
-    (("jawOpen", "JawOpen", "jaw_open"), {"jawOpen"}, 1),
-    (("mouthSmile", "mouthSmileLeft", "mouthSmileRight"), {"mouthSmileLeft", "mouthSmileRight"}, 2),
-    (("mouthSmile",), {"mouthSmile"}, 1), (("eyeBlink_L", "eyeBlinkLeft", "eyeBlink"), {"eyeBlink_L"}, 1),
-    (("mouthOpen", "jawOpen"), {"jawOpen"}, 1), (("mouthOpen",), {"mouthOpen"}, 1),
-    (("eyesClosed", "eyeBlinkLeft"), {"eyeBlinkLeft"}, 1), (("Cheek.Puff.L", "Cheek.Puff.R", "cheekPuff"), {"cheekPuff"}, 1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("names", "driven", "reach"),
+    [
+        (("browInnerUp", "browInnerUp_L", "browInnerUp_R"), {"browInnerUp"}, 1),
+        (("browInnerUpLeft", "browInnerUp", "browInnerUpRight"), {"browInnerUp"}, 1),
+        (("browInnerUp_L", "browInnerUp_R"), {"browInnerUp"}, 2),
+        (("jawOpen", "JawOpen", "jaw_open"), {"jawOpen"}, 1),
+        (("mouthSmile", "mouthSmileLeft", "mouthSmileRight"), {"mouthSmileLeft", "mouthSmileRight"}, 2),
+        (("mouthSmile",), {"mouthSmile"}, 1),
+        (("eyeBlink_L", "eyeBlinkLeft", "eyeBlink"), {"eyeBlink_L"}, 1),
+        (("mouthOpen", "jawOpen"), {"jawOpen"}, 1),
+        (("mouthOpen",), {"mouthOpen"}, 1),
+        (("eyesClosed", "eyeBlinkLeft"), {"eyeBlinkLeft"}, 1),
+        (("Cheek.Puff.L", "Cheek.Puff.R", "cheekPuff"), {"cheekPuff"}, 1),
+    ],
+)
 def test_a_whole_and_its_halves_are_not_added_up(tmp_path, names, driven, reach):
     shape = np.zeros((len(head()[0]), 3), np.float32)
     shape[:, 1] = 0.01
@@ -307,7 +339,8 @@ def test_vrm_presets_drive_what_has_no_arkit_names(tmp_path, kind):
         expected = 1000 * float(np.linalg.norm(shapes[PRESET_SHAPES[preset]], axis=1).max())
         assert moved(character, **{curve: 1}) == pytest.approx(expected, abs=0.01), preset
     assert moved(character, mouthSmileLeft=1, mouthSmileRight=1) == pytest.approx(
-        800 * float(np.linalg.norm(shapes["mouthSmileLeft"], axis=1).max()), abs=0.01)  # fmt: skip
+        800 * float(np.linalg.norm(shapes["mouthSmileLeft"], axis=1).max()), abs=0.01
+    )
     assert any("VRM presets" in note for note in character.notes)
     assert "shape_0" not in "".join(undriven(character))  # a part of a preset is not said to be left alone
     mouth = character.neutral[
@@ -327,9 +360,7 @@ def test_presets_and_arkit_names_do_not_add_up(tmp_path):
     presets["ih"] = {"morphTargetBinds": []}
     character = load_character(glb.save(tmp_path / "both.vrm"))
     shapes = head()[3]
-    assert moved(character, jawOpen=1) == pytest.approx(
-        1000 * np.linalg.norm(shapes["jawOpen"], axis=1).max(), abs=0.01
-    )
+    assert moved(character, jawOpen=1) == pytest.approx(1000 * np.linalg.norm(shapes["jawOpen"], axis=1).max(), abs=0.01)
     assert moved(character, eyeBlinkLeft=1) == pytest.approx(
         1000 * np.linalg.norm(shapes["eyeBlinkLeft"], axis=1).max(), abs=0.01
     )
@@ -345,11 +376,7 @@ def test_vroid_targets_without_their_vrm_part(tmp_path):
         "Fcl_HA_Hide": shapes["mouthPucker"],
     }
     character = load_character(plain_head(named).save(tmp_path / "vroid.glb"))
-    assert (
-        moved(character, jawOpen=1) > 10
-        and moved(character, eyeBlinkLeft=1) > 5
-        and moved(character, mouthPucker=1) < 0.01
-    )
+    assert moved(character, jawOpen=1) > 10 and moved(character, eyeBlinkLeft=1) > 5 and moved(character, mouthPucker=1) < 0.01
 
 
 # ---- size ----
@@ -364,9 +391,7 @@ def test_a_head_of_implausible_size_is_said_and_the_unit_can_be_given(tmp_path, 
     write_take_of_one_second(take)
     said = []
     for options in ([], ["--unit", unit]):
-        assert (
-            cli.main(["export", str(take), "--character", str(path), "--out", str(tmp_path / "x.glb"), *options]) == 0
-        )
+        assert cli.main(["export", str(take), "--character", str(path), "--out", str(tmp_path / "x.glb"), *options]) == 0
         said.append(capsys.readouterr().out.splitlines())
     warned = [line for line in said[0] if "high" in line and "--unit" in line]
     assert len(warned) == (unit != "m") and all(f"{0.24 * scale:g} m" in line for line in warned)
@@ -403,9 +428,7 @@ def draco(glb: Glb) -> Glb:
     """The head's first primitive with its geometry in Draco, and nowhere else."""
     library = pytest.importorskip("DracoPy", reason="the extra 'avatars' is not installed")
     points, triangles, _, _ = head()
-    data = library.encode(
-        points.astype(np.float32), triangles.astype(np.uint32), preserve_order=True, quantization_bits=16
-    )
+    data = library.encode(points.astype(np.float32), triangles.astype(np.uint32), preserve_order=True, quantization_bits=16)
     primitive = glb.document["meshes"][0]["primitives"][0]
     for number in (primitive["attributes"]["POSITION"], primitive["indices"]):
         del glb.document["accessors"][number]["bufferView"]
@@ -433,10 +456,20 @@ def meshopt(glb: Glb) -> Glb:
             mode, packed = "ATTRIBUTES", library.encode_gltf_buffer(rows, "ATTRIBUTES")
         glb.view(packed)
         kept = document["bufferViews"][-1]
-        compressed = {"buffer": 0, "byteOffset": kept["byteOffset"], "byteLength": len(packed), "byteStride": width,
-                      "count": entry["count"], "mode": mode}  # fmt: skip
-        kept |= {"buffer": 1, "byteOffset": view["byteOffset"], "byteLength": len(data),
-                 "extensions": {"EXT_meshopt_compression": compressed}}  # fmt: skip
+        compressed = {
+            "buffer": 0,
+            "byteOffset": kept["byteOffset"],
+            "byteLength": len(packed),
+            "byteStride": width,
+            "count": entry["count"],
+            "mode": mode,
+        }
+        kept |= {
+            "buffer": 1,
+            "byteOffset": view["byteOffset"],
+            "byteLength": len(data),
+            "extensions": {"EXT_meshopt_compression": compressed},
+        }
         if mode == "ATTRIBUTES":
             kept["byteStride"] = width
         entry["bufferView"] = number

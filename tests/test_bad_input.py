@@ -44,23 +44,27 @@ def every_depth_image(folder, damage):
 RUINED = {
     "every frame missing": (lambda f: every_depth_image(f, lambda p: p.unlink()), "no depth images"),
     "every frame truncated": (
-        lambda f: every_depth_image(f, lambda p: p.write_bytes(p.read_bytes()[:300])), "4 broken",
+        lambda f: every_depth_image(f, lambda p: p.write_bytes(p.read_bytes()[:300])),
+        "4 broken",
     ),
     "every frame of another size": (
-        lambda f: every_depth_image(f, lambda p: Image.new("I;16", (8, 8), 5000).save(p)), "8 x 8 pixels",
+        lambda f: every_depth_image(f, lambda p: Image.new("I;16", (8, 8), 5000).save(p)),
+        "8 x 8 pixels",
     ),
     "every frame all zero": (
-        lambda f: every_depth_image(f, lambda p: Image.new("I;16", (320, 240), 0).save(p)), "every pixel is zero",
+        lambda f: every_depth_image(f, lambda p: Image.new("I;16", (320, 240), 0).save(p)),
+        "every pixel is zero",
     ),
     "NaN intrinsics": (lambda f: edit_intrinsics(f, intrinsic_matrix=[float("nan")] * 9), "intrinsic_matrix = nan"),
     "absurd depth scale": (lambda f: edit_intrinsics(f, depth_scale=1e-9), "depth_scale = 1e-09"),
     "depth scale a thousandfold": (lambda f: edit_intrinsics(f, depth_scale=100_000), "depth"),
     "no features and no colour": (lambda f: (f / "features.csv").unlink(), "neither colour images nor features.csv"),
     "features of no face": (
-        lambda f: (f / "features.csv").write_text("frame,feature,u,v,confidence\n0,36,5,5,1\n"), "no face",
+        lambda f: (f / "features.csv").write_text("frame,feature,u,v,confidence\n0,36,5,5,1\n"),
+        "no face",
     ),
     "a table of rubbish": (lambda f: (f / "features.csv").write_bytes(bytes(range(256)) * 9), "features.csv"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", RUINED)
@@ -105,8 +109,16 @@ def small_actor() -> Actor:
     keep = 300
     triangles = whole.triangles[(whole.triangles < keep).all(axis=1)]
     features = np.arange(120).reshape(40, 3).astype(np.int32)
-    return Actor(whole.neutral[:keep], whole.blendshapes[:3, :keep], triangles, whole.frontal[:keep],
-                 whole.expression_names[:3], features, whole.feature_weights, whole.depth_valid[:keep])  # fmt: skip
+    return Actor(
+        whole.neutral[:keep],
+        whole.blendshapes[:3, :keep],
+        triangles,
+        whole.frontal[:keep],
+        whole.expression_names[:3],
+        features,
+        whole.feature_weights,
+        whole.depth_valid[:keep],
+    )
 
 
 def test_damaged_actor_files_are_refused_or_load(small_actor, tmp_path):

@@ -48,8 +48,10 @@ def rows(path: Path) -> list[dict]:
 
 def test_recordings_are_found_at_any_depth(takes):
     assert [Path(source).relative_to(takes).as_posix() for source in find_sources(takes)] == [
-        "broken", "monday/take", "tuesday/take",
-    ]  # fmt: skip
+        "broken",
+        "monday/take",
+        "tuesday/take",
+    ]
     assert find_sources(takes / "monday" / "take") == [str(takes / "monday" / "take")]
 
 
@@ -153,8 +155,22 @@ def test_a_batch_that_was_killed_goes_on_and_ends_with_the_tables_of_one_that_wa
     whole = Batch(jobs, tmp_path / "whole").run(processes=2)
     listed = takes / "good.txt"
     listed.write_text("\n".join(good(takes)))
-    command = [sys.executable, "-m", "adaptiveface", "batch", str(listed), "--out", str(tmp_path / "killed"), "--no-report",
-               "--actor", options["actor"], "--sweep", "laplacian.w2=0.5,5", "--processes", "1"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "adaptiveface",
+        "batch",
+        str(listed),
+        "--out",
+        str(tmp_path / "killed"),
+        "--no-report",
+        "--actor",
+        options["actor"],
+        "--sweep",
+        "laplacian.w2=0.5,5",
+        "--processes",
+        "1",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     done = tmp_path / "killed" / "take" / "laplacian.w2=0.5" / "done.json"
     limit = time.monotonic() + 120
@@ -193,7 +209,7 @@ def test_parquet_says_what_the_csv_says(tmp_path):
 
     records = [
         {"recording": "a", "frames": 3, "status": "done", "reason": "", "folder": "a"},
-        {"recording": "b", "laplacian.w2": "5", "status": "failed", "reason": "no, \"face\"", "folder": "b"},
+        {"recording": "b", "laplacian.w2": "5", "status": "failed", "reason": 'no, "face"', "folder": "b"},
     ]
     for name, header in (("a", "recording,frame,x\na,0,1.5\n"),):
         (tmp_path / name).mkdir()

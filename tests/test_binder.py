@@ -69,8 +69,12 @@ def test_scripts_are_executable_and_parse(script):
 def test_start_sets_the_environment_and_becomes_the_server():
     show = "import os, sys; print(os.environ['VTK_DEFAULT_OPENGL_WINDOW'], os.getpid(), *sys.argv[1:])"
     environment = {key: value for key, value in os.environ.items() if key != "VTK_DEFAULT_OPENGL_WINDOW"}
-    server = subprocess.Popen([str(BINDER / "start"), sys.executable, "-c", show, "two words", "x"], env=environment,
-                              stdout=subprocess.PIPE, text=True)  # fmt: skip
+    server = subprocess.Popen(
+        [str(BINDER / "start"), sys.executable, "-c", show, "two words", "x"],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     assert server.communicate()[0].split() == ["vtkEGLRenderWindow", str(server.pid), "two", "words", "x"]
 
 

@@ -25,8 +25,11 @@ def scene():
 @pytest.fixture(scope="module")
 def meshes(scene):
     actor, result, _ = scene
-    return {"actor": actor_animation(result, actor), "bare": actor_animation(result),
-            "hag": character_animation(load_character("hag"), retarget(result))}  # fmt: skip
+    return {
+        "actor": actor_animation(result, actor),
+        "bare": actor_animation(result),
+        "hag": character_animation(load_character("hag"), retarget(result)),
+    }
 
 
 def centred(vertices: np.ndarray, mesh) -> np.ndarray:
@@ -63,10 +66,14 @@ def test_glb_in_blender(scene, meshes, tmp_path):
     _, result, _ = scene
     for name, mesh in meshes.items():
         write_glb(tmp_path / f"{name}.glb", mesh)
-    answer = evaluate(tmp_path, {
-        "fps": [30, 1], "files": {name: str(tmp_path / f"{name}.glb") for name in meshes},
-        "frames": {name: FRAMES for name in meshes},
-    })  # fmt: skip
+    answer = evaluate(
+        tmp_path,
+        {
+            "fps": [30, 1],
+            "files": {name: str(tmp_path / f"{name}.glb") for name in meshes},
+            "frames": {name: FRAMES for name in meshes},
+        },
+    )
     for k, frame in enumerate(FRAMES):
         v4 = result.vertices[frame].astype(float) * [1, -1, -1]
         for name in ("actor", "bare"):

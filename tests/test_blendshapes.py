@@ -23,8 +23,9 @@ def grid(n=6):
     x, y = np.meshgrid(np.arange(n, dtype=float), np.arange(n, dtype=float))
     vertices = np.stack([x, y, 0.3 * np.sin(1.7 * x + y)], axis=2).reshape(-1, 3)
     corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    triangles = np.concatenate([np.stack([corner, corner + 1, corner + n], 1),
-                                np.stack([corner + 1, corner + n + 1, corner + n], 1)])
+    triangles = np.concatenate(
+        [np.stack([corner, corner + 1, corner + n], 1), np.stack([corner + 1, corner + n + 1, corner + n], 1)]
+    )
     return vertices, triangles
 
 
@@ -76,8 +77,9 @@ def test_gradient_operator_of_a_linear_function():
     vertices, triangles = grid()
     slope = np.array([0.3, -1.2, 0.5])
     gradient, area = gradient_operator(vertices, triangles)
-    normals = np.cross(vertices[triangles[:, 1]] - vertices[triangles[:, 0]],
-                       vertices[triangles[:, 2]] - vertices[triangles[:, 0]])
+    normals = np.cross(
+        vertices[triangles[:, 1]] - vertices[triangles[:, 0]], vertices[triangles[:, 2]] - vertices[triangles[:, 0]]
+    )
     assert np.allclose(area, 0.5 * np.linalg.norm(normals, axis=1))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tangential = slope - (normals @ slope)[:, None] * normals
@@ -96,8 +98,9 @@ def test_agrees_with_the_fourth_vertex_formulation():
     n, count = len(target), len(triangles)
     wanted = deformation_gradients(source, source + displacement, triangles)
     frames = np.linalg.inv(_frames(target, triangles))
-    area = 0.5 * np.linalg.norm(np.cross(target[triangles[:, 1]] - target[triangles[:, 0]],
-                                         target[triangles[:, 2]] - target[triangles[:, 0]]), axis=1)
+    area = 0.5 * np.linalg.norm(
+        np.cross(target[triangles[:, 1]] - target[triangles[:, 0]], target[triangles[:, 2]] - target[triangles[:, 0]]), axis=1
+    )
     rows, rhs = np.zeros((3 * count, n + count)), np.zeros((3 * count, 3))
     for t, (a, b, c) in enumerate(triangles):
         # T = [x_b - x_a, x_c - x_a, x_4 - x_a] V^-1; its rows, transposed, are linear in the unknown vertices.
@@ -122,8 +125,8 @@ def test_no_personal_expression_turns_the_skin_inside_out_where_the_generic_does
     expressions = model.generic_expressions
     moved = deformation_transfer(model.mean, person, model.triangles, expressions)
     for generic, personal in zip(expressions, moved, strict=True):
-        before = (vertex_normals(model.mean, model.triangles)
-                  * vertex_normals(model.mean + generic, model.triangles)).sum(axis=1)
-        after = (vertex_normals(person, model.triangles)
-                 * vertex_normals(person + personal, model.triangles)).sum(axis=1)
+        before = (vertex_normals(model.mean, model.triangles) * vertex_normals(model.mean + generic, model.triangles)).sum(
+            axis=1
+        )
+        after = (vertex_normals(person, model.triangles) * vertex_normals(person + personal, model.triangles)).sum(axis=1)
         assert ((after < -0.2) & (before > 0.5)).sum() == 0

@@ -36,8 +36,14 @@ def halves(x):
 """
 ROOT = Path(__file__).resolve().parents[1]
 #: Becomes another user who may read everything (where Python is the root's own) and write what a user may.
-SETPRIV = ["setpriv", "--reuid=12345", "--regid=12345", "--clear-groups", "--inh-caps=+dac_read_search",
-           "--ambient-caps=+dac_read_search"]  # fmt: skip
+SETPRIV = [
+    "setpriv",
+    "--reuid=12345",
+    "--regid=12345",
+    "--clear-groups",
+    "--inh-caps=+dac_read_search",
+    "--ambient-caps=+dac_read_search",
+]
 needs_root = pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() != 0 or shutil.which("setpriv") is None, reason="changes the user"
 )
@@ -149,8 +155,9 @@ def test_damaged_compiled_code_is_made_again(place, suffix, damage):
         if damage == "folder":
             path.mkdir()
         else:
-            path.write_bytes({"empty": b"", "half": content[: len(content) // 2], "noise": os.urandom(500),
-                              "one bit": content}[damage])  # fmt: skip
+            path.write_bytes(
+                {"empty": b"", "half": content[: len(content) // 2], "noise": os.urandom(500), "one bit": content}[damage]
+            )
     done = run(place, str(place / "home"))
     assert done.returncode == 0 and done.stdout.startswith("6 1.5"), done.stderr
     assert "Traceback" not in done.stderr and done.stderr.count("\n") <= 1

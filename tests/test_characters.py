@@ -48,12 +48,25 @@ def sphere(rows: int = 12, columns: int = 17) -> tuple[np.ndarray, np.ndarray]:
 # ---- ARKit names and weights ----
 
 
-@pytest.mark.parametrize(("name", "arkit"), [
-    ("jawOpen", "jawOpen"), ("JAWOPEN", "jawOpen"), ("eyeBlink_L", "eyeBlinkLeft"), ("EyeBlinkRight", "eyeBlinkRight"),
-    ("mouth_smile_right", "mouthSmileRight"), ("browInnerUp_L", "browInnerUp"), ("blendShape1.jawOpen", "jawOpen"),
-    ("cheekPuff_R", "cheekPuff"), ("jaw-left", "jawLeft"), ("jawRight", "jawRight"), ("mouthLeft", "mouthLeft"),
-    ("Fcl_ALL_Joy", None), ("", None), ("identity000", None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "arkit"),
+    [
+        ("jawOpen", "jawOpen"),
+        ("JAWOPEN", "jawOpen"),
+        ("eyeBlink_L", "eyeBlinkLeft"),
+        ("EyeBlinkRight", "eyeBlinkRight"),
+        ("mouth_smile_right", "mouthSmileRight"),
+        ("browInnerUp_L", "browInnerUp"),
+        ("blendShape1.jawOpen", "jawOpen"),
+        ("cheekPuff_R", "cheekPuff"),
+        ("jaw-left", "jawLeft"),
+        ("jawRight", "jawRight"),
+        ("mouthLeft", "mouthLeft"),
+        ("Fcl_ALL_Joy", None),
+        ("", None),
+        ("identity000", None),
+    ],
+)
 def test_names_in_any_spelling(name, arkit):
     assert canonical_name(name) == arkit
 
@@ -110,8 +123,9 @@ def test_built_in_character_blinks_and_opens_its_mouth(name):
         return surface_points(character.shape(w)[: character.skin], model.feature_triangles, model.feature_weights)
 
     def lids(points):  # middle of the upper and lower lid of both eyes: iBUG 37, 38 over 41, 40; 43, 44 over 47, 46
-        return np.array([points[[9, 10]].mean(0) - points[[12, 13]].mean(0),
-                         points[[15, 16]].mean(0) - points[[18, 19]].mean(0)])[:, 1]  # fmt: skip
+        return np.array(
+            [points[[9, 10]].mean(0) - points[[12, 13]].mean(0), points[[15, 16]].mean(0) - points[[18, 19]].mean(0)]
+        )[:, 1]
 
     rest, shut = lids(features()), lids(features(eyeBlinkLeft=1, eyeBlinkRight=1))
     assert (rest > 3).all() and (shut < 0.25 * rest).all()
@@ -181,19 +195,22 @@ def low_poly_head() -> tuple[trimesh.Trimesh, dict[str, np.ndarray]]:
     skull.apply_scale([75, 110, 90])
     nose = trimesh.creation.cone(radius=12, height=30, sections=7)
     nose.apply_translation([0, -5, 85])
-    ears = [trimesh.creation.box(extents=[8, 40, 25], transform=trimesh.transformations.translation_matrix([x, 0, 0]))
-            for x in (-78, 78)]  # fmt: skip
+    ears = [
+        trimesh.creation.box(extents=[8, 40, 25], transform=trimesh.transformations.translation_matrix([x, 0, 0]))
+        for x in (-78, 78)
+    ]
     head = trimesh.util.concatenate([skull, nose, *ears])
     x, y, z = head.vertices.T
     front = z > 20
     chin, brow = np.clip((-20 - y) / 80, 0, 1) * front, np.exp(-(((y - 45) / 15) ** 2)) * front
     corner = np.exp(-(((np.abs(x) - 35) / 15) ** 2) - ((y + 40) / 15) ** 2) * front
     return head, {
-        "JawOpen": chin[:, None] * [0.0, -30.0, -5.0], "browInnerUp": brow[:, None] * [0.0, 12.0, 0.0],
+        "JawOpen": chin[:, None] * [0.0, -30.0, -5.0],
+        "browInnerUp": brow[:, None] * [0.0, 12.0, 0.0],
         "mouthSmile_L": (corner * (x > 0))[:, None] * [6.0, 9.0, 0.0],
         "MouthSmileRight": (corner * (x < 0))[:, None] * [-6.0, 9.0, 0.0],
         "cheekPuff": (np.abs(x) > 40)[:, None] * front[:, None] * np.array(head.vertex_normals) * 6.0,
-    }  # fmt: skip
+    }
 
 
 def test_a_head_of_foreign_topology_retargets_without_code(tmp_path, capsys):
@@ -209,8 +226,16 @@ def test_a_head_of_foreign_topology_retargets_without_code(tmp_path, capsys):
     actor.save(tmp_path / "actor.npz")
     result.save(tmp_path / "result.npz")
     for kind, out in (("glb", "b.glb"), ("arkit-csv", "b.csv"), ("obj", "b"), ("gif", "b.gif")):
-        command = ["export", str(tmp_path / "result.npz"), "--character", str(folder), "--format", kind,
-                   "--out", str(tmp_path / out)]  # fmt: skip
+        command = [
+            "export",
+            str(tmp_path / "result.npz"),
+            "--character",
+            str(folder),
+            "--format",
+            kind,
+            "--out",
+            str(tmp_path / out),
+        ]
         assert cli.main(command) == 0
     said = capsys.readouterr().out
     assert "blocky lacks: " in said and "eyeBlinkLeft" in said  # nothing is dropped silently
@@ -256,16 +281,19 @@ def test_obj_shapes_round_trip(tmp_path):
     assert np.array_equal(again.triangles, character.triangles)
 
 
-@pytest.mark.parametrize(("name", "text", "reason"), [
-    ("neutral.obj", None, "no neutral.obj"),
-    ("neutral.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "points outside"),
-    ("neutral.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "not finite"),
-    ("neutral.obj", "v 0 0\nf 1 2 3\n", "three"),
-    ("neutral.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf a b c\n", "not made of numbers"),
-    ("jawOpen.obj", "v 0 0 0\nv 1 0 0\n", "2 vertices, the neutral has 3"),
-    ("jawOpen.obj", None, "ARKit name"),
-    ("jawOpen.obj", "v 0 0 0\nv inf 0 0\nv 0 1 0\n", "not finite"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("neutral.obj", None, "no neutral.obj"),
+        ("neutral.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "points outside"),
+        ("neutral.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "not finite"),
+        ("neutral.obj", "v 0 0\nf 1 2 3\n", "three"),
+        ("neutral.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf a b c\n", "not made of numbers"),
+        ("jawOpen.obj", "v 0 0 0\nv 1 0 0\n", "2 vertices, the neutral has 3"),
+        ("jawOpen.obj", None, "ARKit name"),
+        ("jawOpen.obj", "v 0 0 0\nv inf 0 0\nv 0 1 0\n", "not finite"),
+    ],
+)
 def test_broken_obj_folders_end_in_one_clear_error(tmp_path, name, text, reason):
     good = "v 0 0 0\nv 200 0 0\nv 0 200 0\nf 1 2 3\n"
     texts = {"neutral.obj": good, "jawOpen.obj": good, "other.obj": good} | {name: text}

@@ -34,8 +34,16 @@ def good(tmp_path_factory):
     """A small .glb: its bytes, its JSON object, its binary chunk."""
     c = small_character()
     rigid = np.tile(np.eye(4), (4, 1, 1))
-    mesh = AnimatedMesh(c.name, c.neutral, c.triangles, c.expression_names, c.expressions,
-                        np.random.default_rng(1).uniform(size=(4, 3)), np.arange(4) / 30, rigid)  # fmt: skip
+    mesh = AnimatedMesh(
+        c.name,
+        c.neutral,
+        c.triangles,
+        c.expression_names,
+        c.expressions,
+        np.random.default_rng(1).uniform(size=(4, 3)),
+        np.arange(4) / 30,
+        rigid,
+    )
     path = tmp_path_factory.mktemp("good") / "small.glb"
     write_glb(path, mesh)
     data = path.read_bytes()
@@ -104,13 +112,25 @@ CASES = {
     "child outside": (_set("nodes", 0, "children", [99]), "outside"),
     "huge count": (lambda d: _position(d).update(count=10**9), "whole number|does not fit"),
     "count beyond the view": (lambda d: _position(d).update(count=100), "does not fit"),
-    "huge zero target": (lambda d: d["accessors"].__setitem__(
-        d["meshes"][0]["primitives"][0]["targets"][0]["POSITION"],
-        {"componentType": 5126, "count": 150_000_000, "type": "VEC3"}), "expected"),
-    "huge positions from a sparse accessor": (lambda d: d["accessors"].__setitem__(
-        d["meshes"][0]["primitives"][0]["attributes"]["POSITION"],
-        {"componentType": 5126, "count": 30_000_000, "type": "VEC3",
-         "sparse": d["accessors"][d["meshes"][0]["primitives"][0]["targets"][0]["POSITION"]]["sparse"]}), "without data"),
+    "huge zero target": (
+        lambda d: d["accessors"].__setitem__(
+            d["meshes"][0]["primitives"][0]["targets"][0]["POSITION"],
+            {"componentType": 5126, "count": 150_000_000, "type": "VEC3"},
+        ),
+        "expected",
+    ),
+    "huge positions from a sparse accessor": (
+        lambda d: d["accessors"].__setitem__(
+            d["meshes"][0]["primitives"][0]["attributes"]["POSITION"],
+            {
+                "componentType": 5126,
+                "count": 30_000_000,
+                "type": "VEC3",
+                "sparse": d["accessors"][d["meshes"][0]["primitives"][0]["targets"][0]["POSITION"]]["sparse"],
+            },
+        ),
+        "without data",
+    ),
     "huge buffer": (_set("buffers", 0, "byteLength", 2**40), "whole number"),
     "buffer longer than the file": (_set("buffers", 0, "byteLength", 10**8), "declares"),
     "view beyond the buffer": (_set("bufferViews", 0, "byteLength", 10**8), "ends at"),
@@ -162,10 +182,24 @@ def test_nan_and_indices_in_the_data(good, tmp_path):
     refused(tmp_path / "sparse.glb", "sparse index 999")
 
 
-@pytest.mark.parametrize("uri", [
-    "../secret.bin", "/etc/passwd", "file:///etc/passwd", "http://127.0.0.1/x.bin", "sub/../../secret.bin",
-    "%2e%2e/secret.bin", "..\\secret.bin", "C:\\secret.bin", "link.bin", "//host/share.bin", "\0.bin", 7, None,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "../secret.bin",
+        "/etc/passwd",
+        "file:///etc/passwd",
+        "http://127.0.0.1/x.bin",
+        "sub/../../secret.bin",
+        "%2e%2e/secret.bin",
+        "..\\secret.bin",
+        "C:\\secret.bin",
+        "link.bin",
+        "//host/share.bin",
+        "\0.bin",
+        7,
+        None,
+    ],
+)
 def test_uris_never_leave_the_folder(good, tmp_path, uri):
     (tmp_path / "secret.bin").write_bytes(good[2])
     folder = tmp_path / "character"
@@ -192,12 +226,28 @@ def test_uris_inside_the_folder_and_data_uris_are_read(good, tmp_path):
     refused(tmp_path / "bad.gltf", "base64")
 
 
-@pytest.mark.parametrize("data", [
-    b"", b"glTF", b"glTF" + bytes(16), b"\x00" * 100, b"{", b"[]", b"null", b"[" * 100_000, b'{"a":' * 50_000,
-    b'{"nodes": NaN}', b'{"asset": ' + b"9" * 10_000 + b"}", b"\xff\xfe\x00", b"{}",
-    pack(b"{}", b""), pack(b"[[[[", b""), struct.pack("<4sII", b"glTF", 1, 20) + bytes(8),
-    struct.pack("<4sIII4s", b"glTF", 2, 20, 2**31, b"JSON"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"glTF",
+        b"glTF" + bytes(16),
+        b"\x00" * 100,
+        b"{",
+        b"[]",
+        b"null",
+        b"[" * 100_000,
+        b'{"a":' * 50_000,
+        b'{"nodes": NaN}',
+        b'{"asset": ' + b"9" * 10_000 + b"}",
+        b"\xff\xfe\x00",
+        b"{}",
+        pack(b"{}", b""),
+        pack(b"[[[[", b""),
+        struct.pack("<4sII", b"glTF", 1, 20) + bytes(8),
+        struct.pack("<4sIII4s", b"glTF", 2, 20, 2**31, b"JSON"),
+    ],
+)
 def test_files_that_are_no_gltf(tmp_path, data):
     path = tmp_path / "bad.glb"
     path.write_bytes(data)

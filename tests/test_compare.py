@@ -76,14 +76,17 @@ def test_landmarks_are_compared_by_their_numbers(scene, tmp_path):
     assert swapped["landmark_mean"] > 5
 
 
-@pytest.mark.parametrize(("arrays", "words"), [
-    ({}, "none"),
-    ({"vertices": np.zeros((6, 4, 3), np.float32)}, "triangles"),
-    ({"landmarks": np.zeros((6, 2, 3), np.float32)}, "landmark_ids"),
-    ({"landmarks": np.zeros((5, 2, 3), np.float32), "landmark_ids": np.array([48, 54])}, "6 frames"),
-    ({"landmarks": np.zeros((6, 2, 3), np.float32), "landmark_ids": np.array([3, 4])}, "landmark_ids"),
-    ({"vertices": np.zeros((6, 4, 3), np.float32), "triangles": np.array([[0, 1, 4]])}, "triangles"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({}, "none"),
+        ({"vertices": np.zeros((6, 4, 3), np.float32)}, "triangles"),
+        ({"landmarks": np.zeros((6, 2, 3), np.float32)}, "landmark_ids"),
+        ({"landmarks": np.zeros((5, 2, 3), np.float32), "landmark_ids": np.array([48, 54])}, "6 frames"),
+        ({"landmarks": np.zeros((6, 2, 3), np.float32), "landmark_ids": np.array([3, 4])}, "landmark_ids"),
+        ({"vertices": np.zeros((6, 4, 3), np.float32), "triangles": np.array([[0, 1, 4]])}, "triangles"),
+    ],
+)
 def test_files_of_another_form_are_refused(scene, tmp_path, arrays, words):
     truth = GroundTruth.load(scene[0] / "ground_truth.npz")
     with pytest.raises(FileFormatError, match=words):

@@ -130,9 +130,15 @@ class Sensor:
 
 def actor_of(model, neutral) -> Actor:
     return Actor(
-        neutral, model.generic_expressions, model.triangles, model.frontal, model.generic_names,
-        model.feature_triangles, model.feature_weights, model.depth_valid,
-    )  # fmt: skip
+        neutral,
+        model.generic_expressions,
+        model.triangles,
+        model.frontal,
+        model.generic_names,
+        model.feature_triangles,
+        model.feature_weights,
+        model.depth_valid,
+    )
 
 
 def tracked(i, rigid, head, is_tracked=True) -> TrackedFrame:
@@ -232,9 +238,11 @@ def test_truth_of_a_file_equals_that_of_the_sensor(sensor, tmp_path):
     truths = [sensor.ground_truth(i) for i in range(len(sensor))]
     path = tmp_path / "ground_truth.npz"
     np.savez(
-        path, vertices=np.float32([t.vertices for t in truths]), rigid=np.float32([t.rigid for t in truths]),
+        path,
+        vertices=np.float32([t.vertices for t in truths]),
+        rigid=np.float32([t.rigid for t in truths]),
         performance=np.int32([t.performance for t in truths]),
-    )  # fmt: skip
+    )
     truth = ev.GroundTruth.of(path)
     assert len(truth) == 6 and truth[4].performance == ev.REPEAT
     assert np.allclose(truth.neutral, ev.GroundTruth.of(sensor).neutral, atol=1e-3)
@@ -259,9 +267,15 @@ def test_another_mesh_is_refused(sensor):
     vertices, triangles = grid()
     everywhere = np.ones(len(vertices), bool)
     actor = Actor(
-        vertices, np.zeros((1, len(vertices), 3)), triangles, everywhere, ("a",), np.zeros((40, 3), int),
-        np.ones((40, 3)) / 3, everywhere,
-    )  # fmt: skip
+        vertices,
+        np.zeros((1, len(vertices), 3)),
+        triangles,
+        everywhere,
+        ("a",),
+        np.zeros((40, 3), int),
+        np.ones((40, 3)) / 3,
+        everywhere,
+    )
     with pytest.raises(AdaptiveFaceError, match="need the same mesh"):
         ev.evaluate_run([], sensor, actor)
 
@@ -318,9 +332,16 @@ def test_cached_frames_are_those_of_the_sensor(performers, tmp_path):
 
 def test_verdict_names_the_worst_performer(performers):
     good = dict(
-        seed=1000, noise="truedepth", surface_median=0.2, surface_p95=0.8, active_share=0.3, lips=0.9, gain_v1=0.3,
-        gain_learning=0.2, lost=0.0,
-    )  # fmt: skip
+        seed=1000,
+        noise="truedepth",
+        surface_median=0.2,
+        surface_p95=0.8,
+        active_share=0.3,
+        lips=0.9,
+        gain_v1=0.3,
+        gain_learning=0.2,
+        lost=0.0,
+    )
     text, all_hold = performers.verdict([good, good | dict(seed=1001)])
     assert all_hold and text.count("pass") == len(performers.LIMITS)
     text, all_hold = performers.verdict([good, good | dict(seed=1001, gain_learning=0.1, surface_p95=1.2)])

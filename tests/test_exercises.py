@@ -37,9 +37,7 @@ def cross_matrix(r):
     return np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
 
 
-def icp(
-    sign=1.0, cross=1.0, weigh=lambda w: w, matrix=expm, origin=False, keep_centre=True, transpose=False, plane=True
-):
+def icp(sign=1.0, cross=1.0, weigh=lambda w: w, matrix=expm, origin=False, keep_centre=True, transpose=False, plane=True):
     """A point-to-plane step by normal equations with a choice of faults."""
 
     def step(points, targets, normals, weights):
@@ -138,9 +136,7 @@ WRONG_SOLVERS = {
 }
 
 
-def pull(
-    depth_sign=1.0, feature_sign=1.0, w=lambda w1: w1, match=lambda m: m, strength=lambda s: s, add=None, along=None
-):
+def pull(depth_sign=1.0, feature_sign=1.0, w=lambda w1: w1, match=lambda m: m, strength=lambda s: s, add=None, along=None):
     """The right-hand side by loops, with a choice of faults."""
 
     def right(distances, normals, weights, w1, features):
@@ -308,14 +304,19 @@ def test_right_answers_of_every_kind_pass(exercise, function):
 
 def attributes():
     """What the tracker calls in the places that exercises take."""
-    return (rigid.point_to_plane_step, expression.bounded_least_squares, LaplacianDeformation.right_hand_side,
-            adaptive_pca.em_in_sample_space, CoefficientFilter.update)  # fmt: skip
+    return (
+        rigid.point_to_plane_step,
+        expression.bounded_least_squares,
+        LaplacianDeformation.right_hand_side,
+        adaptive_pca.em_in_sample_space,
+        CoefficientFilter.update,
+    )
 
 
 @pytest.mark.parametrize(
     "exercise, function",
     [RIGHT[1], RIGHT[7], RIGHT[10], RIGHT[13], (KALMAN_STEP, KALMAN_STEP.truth)],
-    ids=lambda value: getattr(value, "name", "")
+    ids=lambda value: getattr(value, "name", ""),
 )
 def test_the_tracker_runs_with_a_right_function_and_gets_its_own_back(exercise, function):
     before, calls = attributes(), []

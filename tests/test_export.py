@@ -122,18 +122,24 @@ def test_csv_round_trip(scene, tmp_path):
     np.testing.assert_allclose(again.rigid[:, :3, :3], performance.rigid[:, :3, :3], atol=CURVE)
     lines = (tmp_path / "curves.csv").read_text().splitlines()
     assert lines[0].startswith("Timecode,BlendShapeCount,EyeBlinkLeft,EyeLookDownLeft") and len(HEADER) == 63
-    assert lines[0].endswith("TongueOut,HeadYaw,HeadPitch,HeadRoll,LeftEyeYaw,LeftEyePitch,LeftEyeRoll,RightEyeYaw,"
-                             "RightEyePitch,RightEyeRoll")  # fmt: skip
+    assert lines[0].endswith(
+        "TongueOut,HeadYaw,HeadPitch,HeadRoll,LeftEyeYaw,LeftEyePitch,LeftEyeRoll,RightEyeYaw,RightEyePitch,RightEyeRoll"
+    )
     assert lines[1].startswith("00:00:00:00.000,61,") and lines[3].startswith("00:00:00:04.000,61,")
     assert timecode(3723.5125) == "01:02:03:30.750"
 
 
-@pytest.mark.parametrize(("text", "reason"), [
-    ("", "first line"), ("a,b,c\n1,2,3\n", "first line"), (",".join(HEADER) + "\n", "no rows"),
-    (",".join(HEADER) + "\n00:00:00:00.000,61,0.5\n", "line 2: 3 columns"),
-    (",".join(HEADER) + "\nnow,61" + ",0" * 61 + "\n", "line 2: a timecode"),
-    (",".join(HEADER) + "\n00:00:00:00.000,61" + ",nan" * 61 + "\n", "not finite"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "first line"),
+        ("a,b,c\n1,2,3\n", "first line"),
+        (",".join(HEADER) + "\n", "no rows"),
+        (",".join(HEADER) + "\n00:00:00:00.000,61,0.5\n", "line 2: 3 columns"),
+        (",".join(HEADER) + "\nnow,61" + ",0" * 61 + "\n", "line 2: a timecode"),
+        (",".join(HEADER) + "\n00:00:00:00.000,61" + ",nan" * 61 + "\n", "not finite"),
+    ],
+)
 def test_broken_csv(tmp_path, text, reason):
     (tmp_path / "bad.csv").write_text(text)
     with pytest.raises(FileFormatError, match=reason):
@@ -192,8 +198,13 @@ const validator = require(process.argv[1]), fs = require('fs');
 
 
 def validator_issues(node_modules, paths) -> dict:
-    run = subprocess.run(["node", "-e", _VALIDATE, str(node_modules / "gltf-validator"), *map(str, paths)],
-                         capture_output=True, text=True, timeout=120, check=True)  # fmt: skip
+    run = subprocess.run(
+        ["node", "-e", _VALIDATE, str(node_modules / "gltf-validator"), *map(str, paths)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     return json.loads(run.stdout)
 
 
@@ -213,8 +224,13 @@ def test_compact_files_are_small_and_near(files, node_modules, tmp_path):
 def test_khronos_validator_finds_nothing(files, node_modules):
     folder, meshes = files
     paths = [str(folder / f"{name}.glb") for name in meshes]
-    run = subprocess.run(["node", "-e", _VALIDATE, str(node_modules / "gltf-validator"), *paths],
-                         capture_output=True, text=True, timeout=120, check=True)  # fmt: skip
+    run = subprocess.run(
+        ["node", "-e", _VALIDATE, str(node_modules / "gltf-validator"), *paths],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     issues = json.loads(run.stdout)
     assert len(issues) == 4
     for path, found in issues.items():
@@ -283,11 +299,20 @@ def test_three_js_in_chromium_sees_the_face_move(files, node_modules, tmp_path):
     handler = functools.partial(_Quiet, directory=str(tmp_path))
     with http.server.ThreadingHTTPServer((LOOPBACK, 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        command = [browser, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
-                   "--enable-unsafe-swiftshader", "--disable-background-networking",
-                   f"--user-data-dir={tmp_path / 'u'}",
-                   "--virtual-time-budget=60000", "--timeout=90000", "--dump-dom",
-                   f"http://{LOOPBACK}:{server.server_port}/page.html"]  # fmt: skip
+        command = [
+            browser,
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-dev-shm-usage",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
+            "--disable-background-networking",
+            f"--user-data-dir={tmp_path / 'u'}",
+            "--virtual-time-budget=60000",
+            "--timeout=90000",
+            "--dump-dom",
+            f"http://{LOOPBACK}:{server.server_port}/page.html",
+        ]
         run = subprocess.run(command, capture_output=True, text=True, timeout=180)
         server.shutdown()
     found = re.search(r'<pre id="out">(\{.*?\})</pre>', run.stdout, re.DOTALL)
@@ -350,12 +375,16 @@ def saved(scene, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(("options", "output"), [
-    (["--character", "baby"], "result-baby.glb"), ([], "result-actor.glb"),
-    (["--character", "hag", "--correctives", "--smooth"], "result-hag.glb"),
-    (["--format", "arkit-csv", "--filter", "kalman"], "result-arkit.csv"),
-    (["--character", "ogre", "--format", "usd", "--coefficients", "initial"], "result-ogre.usdc"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "output"),
+    [
+        (["--character", "baby"], "result-baby.glb"),
+        ([], "result-actor.glb"),
+        (["--character", "hag", "--correctives", "--smooth"], "result-hag.glb"),
+        (["--format", "arkit-csv", "--filter", "kalman"], "result-arkit.csv"),
+        (["--character", "ogre", "--format", "usd", "--coefficients", "initial"], "result-ogre.usdc"),
+    ],
+)
 def test_export_command(saved, options, output, capsys):
     if "usd" in options:
         pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
@@ -378,19 +407,27 @@ def test_correctives_carried_to_a_character_do_something(saved):
 
 def test_compare_shows_initial_and_resolved_side_by_side(saved, monkeypatch):
     shown = {}
-    monkeypatch.setattr("adaptiveface.export.command.write_performance_video",
-                        lambda out, result, meshes, *_: shown.update({mesh.name: mesh.weights for mesh in meshes}))  # fmt: skip
+    monkeypatch.setattr(
+        "adaptiveface.export.command.write_performance_video",
+        lambda out, result, meshes, *_: shown.update({mesh.name: mesh.weights for mesh in meshes}),
+    )
     options = ["--character", "hag", "--format", "gif", "--compare"]
     assert cli.main(["export", str(saved / "result.npz"), *options]) == 0
     assert list(shown) == ["hag, initial", "hag, resolved"]
     assert np.abs(shown["hag, initial"] - shown["hag, resolved"]).max() > 0.02
 
 
-@pytest.mark.parametrize(("options", "reason"), [
-    (["--character", "nobody"], "neither built in"), (["--out", "x.txt"], "must end in .glb"),
-    (["--out", "/dev/null/at/all/x.glb"], "cannot be made"), (["--format", "mp4", "--source", "synthetic:1"], "another"),
-    (["--format", "usd", "--compact"], "not for usd"), (["--coefficients", "arkit", "--correctives"], "does not go with"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--character", "nobody"], "neither built in"),
+        (["--out", "x.txt"], "must end in .glb"),
+        (["--out", "/dev/null/at/all/x.glb"], "cannot be made"),
+        (["--format", "mp4", "--source", "synthetic:1"], "another"),
+        (["--format", "usd", "--compact"], "not for usd"),
+        (["--coefficients", "arkit", "--correctives"], "does not go with"),
+    ],
+)
 def test_export_refuses_in_one_line(saved, options, reason, capsys):
     assert cli.main(["export", str(saved / "result.npz"), *options]) == cli.EXIT_ERROR
     error = capsys.readouterr().err
@@ -400,10 +437,17 @@ def test_export_refuses_in_one_line(saved, options, reason, capsys):
 # ---- streams ----
 
 
-@pytest.mark.parametrize(("text", "host", "port"), [
-    ("", LOOPBACK, 1), ("39540", LOOPBACK, 39540), ("192.168.1.7", "192.168.1.7", 1), ("pc:4000", "pc", 4000),
-    ("[::1]:77", "::1", 77), (":5005", LOOPBACK, 5005),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [
+        ("", LOOPBACK, 1),
+        ("39540", LOOPBACK, 39540),
+        ("192.168.1.7", "192.168.1.7", 1),
+        ("pc:4000", "pc", 4000),
+        ("[::1]:77", "::1", 77),
+        (":5005", LOOPBACK, 5005),
+    ],
+)
 def test_addresses_stay_on_this_machine_unless_a_host_is_named(text, host, port):
     assert Address.parse(text, 1) == Address(host, port)
 
@@ -442,8 +486,11 @@ def test_vmc_and_osc_messages(scene):
     for index in (0, frame):
         x = result.coefficients[index].astype(float)
         rigid = result.rigid[index].astype(float)
-        streamer.send(TrackedFrame(index, index / 30, True, rigid, v4[index], v4[index], v4[index], v4[index], x, x,
-                                   SampleState.LEARNED, 0))  # fmt: skip
+        streamer.send(
+            TrackedFrame(
+                index, index / 30, True, rigid, v4[index], v4[index], v4[index], v4[index], x, x, SampleState.LEARNED, 0
+            )
+        )
         if index == 0:
             received(listeners[0]), received(listeners[1])
     messages = received(listeners[0])

@@ -22,8 +22,30 @@ jaw mouth""".split()
 ARKIT_WHOLE = """browInnerUp cheekPuff jawForward jawOpen mouthClose mouthFunnel mouthPucker mouthRollLower
 mouthRollUpper mouthShrugLower mouthShrugUpper""".split()
 # iBUG-68 pairs across the midline, and the inner lips' upper and lower pairs.
-OPPOSITE = {18: 25, 19: 24, 20: 23, 21: 22, 36: 45, 37: 44, 38: 43, 39: 42, 40: 47, 41: 46, 48: 54, 49: 53, 50: 52,
-            51: 51, 55: 59, 56: 58, 57: 57, 60: 64, 61: 63, 62: 62, 65: 67, 66: 66}  # fmt: skip
+OPPOSITE = {
+    18: 25,
+    19: 24,
+    20: 23,
+    21: 22,
+    36: 45,
+    37: 44,
+    38: 43,
+    39: 42,
+    40: 47,
+    41: 46,
+    48: 54,
+    49: 53,
+    50: 52,
+    51: 51,
+    55: 59,
+    56: 58,
+    57: 57,
+    60: 64,
+    61: 63,
+    62: 62,
+    65: 67,
+    66: 66,
+}
 INNER_LIPS = [(61, 67), (62, 66), (63, 65)]
 
 
@@ -88,9 +110,7 @@ def test_exactly_symmetric(model):
     assert {*map(tuple, flipped)} == {*map(tuple, np.sort(model.triangles, axis=1))}
     by_name = dict(zip(model.expression_names, model.expressions, strict=True))
     for name, field in by_name.items():
-        opposite = (
-            name[:-4] + "Right" if name.endswith("Left") else name[:-5] + "Left" if name.endswith("Right") else name
-        )
+        opposite = name[:-4] + "Right" if name.endswith("Left") else name[:-5] + "Left" if name.endswith("Right") else name
         np.testing.assert_array_equal(mirrored(model, field), by_name[opposite], err_msg=name)
     for mode in model.identity_modes:
         parity = np.sign((mode * mirrored(model, mode)).sum())
@@ -208,9 +228,7 @@ def eye_area(vertices, loop, triangles):
     while len(chain) < len(loop):
         chain.append(next(x for x in after[chain[-1]] if x not in chain))
     polygon = vertices[chain][:, :2]
-    grid = np.stack(
-        np.meshgrid(*(np.arange(lo, hi, 0.1) for lo, hi in zip(polygon.min(0), polygon.max(0), strict=True))), -1
-    )
+    grid = np.stack(np.meshgrid(*(np.arange(lo, hi, 0.1) for lo, hi in zip(polygon.min(0), polygon.max(0), strict=True))), -1)
     return 0.01 * Path(polygon).contains_points(grid.reshape(-1, 2)).sum()
 
 

@@ -107,8 +107,9 @@ def test_remeshing_keeps_curves_area_and_sizes():
     curve_of = {tuple(sorted(e)): k for k, c in enumerate(chains) for e in zip(c, c[1:], strict=False)}
     fixed = {0, 12, 168, 156, middle[0], middle[-1]}
     surface = ReferenceSurface(vertices, triangles)
-    remesher = Remesher(vertices, triangles, curve_of, [Polyline(c, vertices) for c in chains], fixed, surface,
-                        lambda p: np.full(len(p), 3.0))  # fmt: skip
+    remesher = Remesher(
+        vertices, triangles, curve_of, [Polyline(c, vertices) for c in chains], fixed, surface, lambda p: np.full(len(p), 3.0)
+    )
     points, faces, curves = remesher.run(8)
     normals = triangle_normals(points, faces)
     assert (normals[:, 2] > 0).all()

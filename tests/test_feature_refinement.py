@@ -109,16 +109,14 @@ def test_a_round_solves_shifts_and_light_of_all_patches_together():
     weights, n = rng.uniform(0.1, 1, count * samples), len(seen)
     start, detected = rng.normal(0, 0.5, (2, n, 2))
     precision = np.linalg.inv(0.6 * np.ones((n, n)) + 0.3 * np.eye(n)) * 3.0
-    shift, variance = align_patches(
-        images, pixels, weights, colours, starts, seen, start, detected, precision, 1, 16.0
-    )  # fmt: skip
+    shift, variance = align_patches(images, pixels, weights, colours, starts, seen, start, detected, precision, 1, 16.0)
 
     whole, right = np.zeros((n, 4, n, 4)), np.zeros((n, 4))
     for i, f in enumerate(seen):
         part = slice(starts[f], starts[f + 1])
         h, right[i] = _normal_equations(
             images, pixels[part], weights[part], colours[part], start[i], np.array([1.0, 0.0]), 16.0
-        )  # fmt: skip
+        )
         whole[i, :, i] = h + np.diag([0, 0, GAIN**-2, OFFSET**-2])
     for k in range(2):
         whole[:, k, :, k] += precision

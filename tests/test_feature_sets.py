@@ -29,9 +29,7 @@ CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 NAMES = list(MODEL.generic_names)
 
 
-def seen(
-    head: np.ndarray, x: np.ndarray, pose: np.ndarray, index: int = 0, noise: float = 0.0, camera=CAMERA
-) -> RgbdFrame:
+def seen(head: np.ndarray, x: np.ndarray, pose: np.ndarray, index: int = 0, noise: float = 0.0, camera=CAMERA) -> RgbdFrame:
     """A frame of the landmarks alone, as a detector without errors but white noise (px) returns them."""
     skin = head + np.tensordot(x, MODEL.generic_expressions, axes=1)
     rng = np.random.default_rng(index)
@@ -40,9 +38,7 @@ def seen(
     mesh[SET.ids, :2] = pixels + noise * rng.standard_normal(pixels.shape)
     scores = x @ MODEL.generic_weights
     forty = camera.project(transform_points(pose, paper_features(MODEL).points(skin)))
-    face = DetectedFace(
-        mesh, np.array([dict(zip(MODEL.expression_names, scores, strict=True))[n] for n in SCORE_NAMES])
-    )
+    face = DetectedFace(mesh, np.array([dict(zip(MODEL.expression_names, scores, strict=True))[n] for n in SCORE_NAMES]))
     features = Features2D(forty, np.full(40, 0.3), face)
     return RgbdFrame(np.zeros((1, 1), np.float32), camera, None, index, index / 30, features)
 

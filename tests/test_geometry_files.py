@@ -43,8 +43,11 @@ def test_sequence_comes_back_in_millimetres_from_any_unit(meshes, tmp_path, unit
     short = replace(mesh, weights=mesh.weights[:3], timestamps=mesh.timestamps[:3], rigid=mesh.rigid[:3])
     write_obj_sequence(tmp_path / "frames", short, unit)
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == [
-        "face_00000.obj", "face_00001.obj", "face_00002.obj", "timestamps.csv",
-    ]  # fmt: skip
+        "face_00000.obj",
+        "face_00001.obj",
+        "face_00002.obj",
+        "timestamps.csv",
+    ]
     vertices, triangles = read_obj_sequence(tmp_path / "frames")
     np.testing.assert_allclose(vertices, [centred(short, f) for f in range(3)], atol=2e-4)
     assert np.array_equal(triangles, mesh.triangles)
@@ -98,10 +101,17 @@ def test_caches_have_one_sample_for_every_frame_of_the_rate(meshes, tmp_path):
     np.testing.assert_allclose(again[5] + shift, between, atol=1e-3)
 
 
-@pytest.mark.parametrize(("name", "content"), [
-    ("a.pc2", b""), ("a.pc2", b"POINTCACHE2\0" + bytes(20) + b"x"), ("a.pc2", b"something else entirely, long enough"),
-    ("a.mdd", b"\0\0"), ("a.mdd", b"\xff" * 8), ("a.mdd", b"\0\0\0\1\0\0\0\1" + bytes(12)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.pc2", b""),
+        ("a.pc2", b"POINTCACHE2\0" + bytes(20) + b"x"),
+        ("a.pc2", b"something else entirely, long enough"),
+        ("a.mdd", b"\0\0"),
+        ("a.mdd", b"\xff" * 8),
+        ("a.mdd", b"\0\0\0\1\0\0\0\1" + bytes(12)),
+    ],
+)
 def test_broken_caches(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(FileFormatError, match=name):
@@ -141,8 +151,10 @@ def test_in_blender(meshes, tmp_path):
             path = tmp_path / f"{name}-{kind}.{kind}"
             write_point_cache(path, mesh)
             files[f"{name}-{kind}"], caches[f"{name}-{kind}"] = str(path.with_suffix(".obj")), str(path)
-    answer = evaluate(tmp_path, {"fps": [30, 1], "files": files, "caches": caches,
-                                 "frames": {key: FRAMES if key in caches else [0] for key in files}})  # fmt: skip
+    answer = evaluate(
+        tmp_path,
+        {"fps": [30, 1], "files": files, "caches": caches, "frames": {key: FRAMES if key in caches else [0] for key in files}},
+    )
     for name, mesh in meshes.items():
         for k, frame in enumerate(FRAMES):
             for points in (answer[f"{name}-{frame}/points"][0], *(answer[f"{name}-{c}/points"][k] for c in ("mdd", "pc2"))):

@@ -15,13 +15,31 @@ from adaptiveface.sensors.mjpeg import MAX_PICTURE_BYTES, open_mjpeg
 
 #: One of each kind, those that take long to make left out.
 CHOSEN = (
-    "timestamps.csv is a pipe", "timestamps.csv links to /dev/zero", "timestamps.csv of 10^7 rows", "a timestamp of 1e300",
-    "features.csv of 20 GiB, sparse", "intrinsic.json [[],[],...", "a width of 1e308", "a width of 400 digits",
-    "depth images are pipes", "depth images link to /dev/zero", ".r3d: metadata [[],[],...", ".r3d: metadata of a GiB of zeros",
-    ".r3d: 10^6 members", ".npz promises a GiB", ".npz with a lie in its list", ".npz of 10^6 members", ".npz is a pipe",
-    "character.npz of 10^6 vertices and 1000 shapes", "OBJ of 10^7 faces", "OBJ with a face of 10^7 corners",
-    ".glb: JSON [[],[],...", ".glb is 3 GiB, sparse", ".glb: its buffer is a pipe", "take of 10^7 columns",
-)  # fmt: skip
+    "timestamps.csv is a pipe",
+    "timestamps.csv links to /dev/zero",
+    "timestamps.csv of 10^7 rows",
+    "a timestamp of 1e300",
+    "features.csv of 20 GiB, sparse",
+    "intrinsic.json [[],[],...",
+    "a width of 1e308",
+    "a width of 400 digits",
+    "depth images are pipes",
+    "depth images link to /dev/zero",
+    ".r3d: metadata [[],[],...",
+    ".r3d: metadata of a GiB of zeros",
+    ".r3d: 10^6 members",
+    ".npz promises a GiB",
+    ".npz with a lie in its list",
+    ".npz of 10^6 members",
+    ".npz is a pipe",
+    "character.npz of 10^6 vertices and 1000 shapes",
+    "OBJ of 10^7 faces",
+    "OBJ with a face of 10^7 corners",
+    ".glb: JSON [[],[],...",
+    ".glb is 3 GiB, sparse",
+    ".glb: its buffer is a pipe",
+    "take of 10^7 columns",
+)
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +84,12 @@ def served(parts: list[bytes], kind: str = "multipart/x-mixed-replace; boundary=
 def test_pictures_come_with_and_without_their_length_and_damaged_ones_are_passed_over():
     small = fault_hostile.jpeg(64, 48)
     parts = [
-        fault_hostile.part(small, len(small)), fault_hostile.part(small), fault_hostile.part(b"no picture"),
-        fault_hostile.part(small, len(small)), b"--frame--\r\n",
-    ]  # fmt: skip
+        fault_hostile.part(small, len(small)),
+        fault_hostile.part(small),
+        fault_hostile.part(b"no picture"),
+        fault_hostile.part(small, len(small)),
+        b"--frame--\r\n",
+    ]
     logins: list = []
     stream = open_mjpeg(f"http://me:p%40ss@{served(parts, login=logins)}", "camera", 5)
     found = [stream.read() for _ in range(5)]
@@ -77,12 +98,15 @@ def test_pictures_come_with_and_without_their_length_and_damaged_ones_are_passed
     assert logins == ["Basic bWU6cEBzcw=="]
 
 
-@pytest.mark.parametrize("parts, words", [
-    ([fault_hostile.part(b"\xff\xd8", 10**12)], "at most 16 MiB"),
-    ([fault_hostile.part(b"\xff\xd8"), bytes(MAX_PICTURE_BYTES + 100_000)], "at most 16 MiB"),
-    ([b"a" * 10_000], "marked off"),
-    ([b"--frame\r\n" + b"X: y\r\n" * 100], "lines of headers"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "parts, words",
+    [
+        ([fault_hostile.part(b"\xff\xd8", 10**12)], "at most 16 MiB"),
+        ([fault_hostile.part(b"\xff\xd8"), bytes(MAX_PICTURE_BYTES + 100_000)], "at most 16 MiB"),
+        ([b"a" * 10_000], "marked off"),
+        ([b"--frame\r\n" + b"X: y\r\n" * 100], "lines of headers"),
+    ],
+)
 def test_streams_without_an_end_are_refused(parts, words):
     stream = open_mjpeg(f"http://{served(parts)}", "camera", 5)
     with pytest.raises(SensorError, match=words):

@@ -33,11 +33,13 @@ def foreign(own):
     number = np.argsort(order)
     mean = own.neutral(0.8 * rng.normal(size=50)) + SHIFT
     return {
-        "mean": mean[order], "triangles": number[own.triangles], "order": order,
+        "mean": mean[order],
+        "triangles": number[own.triangles],
+        "order": order,
         "identity": own.identity_modes[:3, order],
         "units": np.stack([own.expressions[own.expression_names.index(n)] for n in UNITS])[:, order],
         "features": surface_points(mean, own.feature_triangles, own.feature_weights),
-    }  # fmt: skip
+    }
 
 
 def check_model(model, foreign, own, vertices=None):
@@ -72,8 +74,13 @@ def write_obj(path, vertices, faces=()):
     path.write_text("\n".join(["# made by a test", *lines, ""]))
 
 
-ICT_NAMES = {"jawOpen": "jawOpen", "mouthSmileLeft": "mouthSmile_L", "mouthSmileRight": "mouthSmile_R",
-             "eyeBlinkLeft": "eyeBlink_L", "mouthPucker": "mouthPucker"}  # fmt: skip
+ICT_NAMES = {
+    "jawOpen": "jawOpen",
+    "mouthSmileLeft": "mouthSmile_L",
+    "mouthSmileRight": "mouthSmile_R",
+    "eyeBlinkLeft": "eyeBlink_L",
+    "mouthPucker": "mouthPucker",
+}
 
 
 @pytest.fixture(scope="module")
@@ -175,11 +182,14 @@ def write_basel(path, foreign, **change):
     expression, expression_variance = basis(foreign["units"])
     drift = rng.normal(0, 0.01, foreign["mean"].size)
     datasets = {
-        "shape/model/mean": (foreign["mean"].ravel() - drift).astype(np.float32), "shape/model/pcaBasis": shape,
-        "shape/model/pcaVariance": shape_variance, "shape/representer/cells": foreign["triangles"].T.astype(np.int32),
-        "expression/model/mean": drift.astype(np.float32), "expression/model/pcaBasis": expression,
+        "shape/model/mean": (foreign["mean"].ravel() - drift).astype(np.float32),
+        "shape/model/pcaBasis": shape,
+        "shape/model/pcaVariance": shape_variance,
+        "shape/representer/cells": foreign["triangles"].T.astype(np.int32),
+        "expression/model/mean": drift.astype(np.float32),
+        "expression/model/pcaBasis": expression,
         "expression/model/pcaVariance": expression_variance,
-    } | {k.replace("__", "/"): v for k, v in change.items()}  # fmt: skip
+    } | {k.replace("__", "/"): v for k, v in change.items()}
     with h5py.File(path, "w") as file:
         for name, array in datasets.items():
             if array is not None:
@@ -274,9 +284,13 @@ def write_flame(path, foreign, **change):
     behind = np.argsort(np.linalg.norm(foreign["mean"] - SHIFT - [0, -5, -75], axis=1))[:200]
     hinge[2, behind] = 1 / len(behind)
     arrays = {
-        "v_template": foreign["mean"] / 1000, "shapedirs": directions, "f": foreign["triangles"].astype(np.uint32),
-        "weights": jaw, "J_regressor": hinge, "posedirs": np.zeros((n, 3, 36), np.float32),
-    } | change  # fmt: skip
+        "v_template": foreign["mean"] / 1000,
+        "shapedirs": directions,
+        "f": foreign["triangles"].astype(np.uint32),
+        "weights": jaw,
+        "J_regressor": hinge,
+        "posedirs": np.zeros((n, 3, 36), np.float32),
+    } | change
     np.savez_compressed(path, **{k: v for k, v in arrays.items() if v is not None})
     return path
 
@@ -372,14 +386,16 @@ def write_gnm(path, mean, faces, identity, expressions, **change):
         "expression_names": np.array(["tongue_0", *(f"lower_face_region_{k}" for k in range(len(expressions)))]),
         "triangles": np.concatenate([ball.faces, faces + n]).astype(np.int32),
         "vertex_groups": np.stack([np.arange(n + len(mean)) < n, np.arange(n + len(mean)) >= n]).astype(np.float32),
-        "vertex_group_names": np.array(["tongue", "skin"]), "version": np.array("3.0"),
-    } | change  # fmt: skip
+        "vertex_group_names": np.array(["tongue", "skin"]),
+        "version": np.array("3.0"),
+    } | change
     np.savez_compressed(path, **{k: v for k, v in arrays.items() if v is not None})
     return path
 
 
 def test_gnm_with_a_finer_mesh(foreign, own, tmp_path):
     """Four times the triangles: 28 thousand vertices on a tessellation of its own."""
+
     def finer(values):
         return np.concatenate([values, 0.5 * (values[pairs[:, 0]] + values[pairs[:, 1]])])
 
@@ -405,8 +421,9 @@ def test_gnm_with_a_finer_mesh(foreign, own, tmp_path):
 
 def test_broken_gnm(foreign, tmp_path):
     def broken(message, **change):
-        path = write_gnm(tmp_path / "broken.npz", foreign["mean"], foreign["triangles"], foreign["identity"],
-                         foreign["units"], **change)  # fmt: skip
+        path = write_gnm(
+            tmp_path / "broken.npz", foreign["mean"], foreign["triangles"], foreign["identity"], foreign["units"], **change
+        )
         with pytest.raises(FileFormatError, match=message) as caught:
             load_gnm(path)
         assert "broken.npz" in str(caught.value)

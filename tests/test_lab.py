@@ -128,8 +128,11 @@ def test_the_wheel_holds_the_notebooks(tmp_path):
     assert run.returncode == 0, run.stderr[-2000:]
     (wheel,) = copy.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
-    wanted = {p.relative_to(CHECKOUT / "notebooks").as_posix() for p in (CHECKOUT / "notebooks").rglob("*.ipynb")
-              if ".ipynb_checkpoints" not in p.parts}  # fmt: skip
+    wanted = {
+        p.relative_to(CHECKOUT / "notebooks").as_posix()
+        for p in (CHECKOUT / "notebooks").rglob("*.ipynb")
+        if ".ipynb_checkpoints" not in p.parts
+    }
     packed = {n.removeprefix("adaptiveface/_notebooks/") for n in names if n.startswith("adaptiveface/_notebooks/")}
     assert packed == wanted and "solutions/03_point_to_plane_step.ipynb" in packed
 
@@ -149,10 +152,16 @@ def test_jupyterlab_starts_serves_the_notebooks_and_its_settings(tmp_path):
     code = "from adaptiveface import cli, lab; lab.NEEDED = ('jupyterlab',); raise SystemExit(cli.main())"
     arguments = ["lab", "--dir", str(folder), "--port", str(port), "--no-browser"]
     server = subprocess.Popen(
-        [sys.executable, "-c", code, *arguments], cwd=tmp_path, env={**os.environ, **own}, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, "-c", code, *arguments],
+        cwd=tmp_path,
+        env={**os.environ, **own},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
     try:
+
         def get(path: str):
             address, token = f"http://127.0.0.1:{port}{path}", {"Authorization": "token secret"}
             return json.load(urllib.request.urlopen(urllib.request.Request(address, headers=token), timeout=5))

@@ -52,8 +52,10 @@ def test_a_recording_is_tracked_recorded_and_saved(take, tmp_path, capsys):
     assert "8 frames: 8 tracked" in text and "latency" in text and f"{copy}: 8 frames" in text
     result = Result.load(out)
     assert result.tracked.all() and '"K": 3' in result.parameters
-    assert main(["track", str(recording), "--actor", str(actor), "--out", str(tmp_path / "t.npz"), "--set",
-                 "adaptive_pca.K=3"]) == 0  # fmt: skip
+    assert (
+        main(["track", str(recording), "--actor", str(actor), "--out", str(tmp_path / "t.npz"), "--set", "adaptive_pca.K=3"])
+        == 0
+    )
     np.testing.assert_array_equal(Result.load(tmp_path / "t.npz").vertices, result.vertices)  # as without threads
     for a, b in zip(Recording(recording), Recording(copy), strict=True):
         assert np.array_equal(a.depth, b.depth)
@@ -102,10 +104,7 @@ def test_without_an_actor_the_neutral_is_scanned_by_text(tmp_path, monkeypatch, 
     performer = SyntheticSensor(5, neutral_frames=24, frames=8, repeats=1, colour=False)
     play(monkeypatch, [dataclasses.replace(raw(f, i), timestamp=i / 2) for i, f in enumerate(performer)])
     quick = ["fit.iterations=8", "shrink_wrap.iterations=3", "fusion.passes=1", "fusion.voxel=4"]
-    assert (
-        live("scripted", "--headless", "--save-actor", tmp_path / "a.npz", "--out", tmp_path / "r.npz", "--set", *quick)
-        == 0
-    )
+    assert live("scripted", "--headless", "--save-actor", tmp_path / "a.npz", "--out", tmp_path / "r.npz", "--set", *quick) == 0
     out = capsys.readouterr().out
     assert "look straight at the camera" in out and "turn your head slowly to your left" in out
     neutral = Actor.load(tmp_path / "a.npz").neutral
@@ -162,8 +161,17 @@ def test_streaming_a_live_sensor_goes_through_the_same_session(take, monkeypatch
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_ctrl_c_ends_cleanly_and_everything_is_saved(take, tmp_path):
-    arguments = ["live", "synthetic:5", "--headless", "--actor", take[1], "--out", tmp_path / "r.npz", "--record",
-                 tmp_path / "rec"]  # fmt: skip
+    arguments = [
+        "live",
+        "synthetic:5",
+        "--headless",
+        "--actor",
+        take[1],
+        "--out",
+        tmp_path / "r.npz",
+        "--record",
+        tmp_path / "rec",
+    ]
     code = "from adaptiveface.cli import main; raise SystemExit(main())"
     process = subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -71,9 +71,7 @@ def test_the_clock_follows_the_sensor():
     assert abs(ticks[-1] - ticks[0] - 1000) <= 15
 
 
-def test_video_mode_survives_restarting_clocks_and_new_sizes_and_sees_what_single_images_see(
-    video, detector, performers
-):
+def test_video_mode_survives_restarting_clocks_and_new_sizes_and_sees_what_single_images_see(video, detector, performers):
     frames = performers[0]
     for size, stamp in ((1, 10.0), (1, 10.03), (1, 0.0), (2, 0.03), (2, math.nan), (1, 0.1)):
         frame = dataclasses.replace(frames[1], timestamp=stamp)

@@ -53,9 +53,7 @@ def test_frames_of_a_file_come_whole_and_in_order_until_the_end():
         frames = list(sensor)
         with pytest.raises(EndOfRecording):
             sensor.read()
-    assert [(f.index, f.sequence, f.dropped, float(f.depth[0, 0])) for f in frames] == [
-        (i, i, 0, 500.0 + i) for i in range(5)
-    ]
+    assert [(f.index, f.sequence, f.dropped, float(f.depth[0, 0])) for f in frames] == [(i, i, 0, 500.0 + i) for i in range(5)]
 
 
 def test_a_frame_owns_clean_arrays():

@@ -217,12 +217,17 @@ def test_our_own_timecodes_at_any_rate_and_over_midnight(tmp_path, fps):
     assert timecode(3723.5125) == "01:02:03:30.750"
 
 
-@pytest.mark.parametrize(("body", "reason"), [
-    ("00:00:00:00.000,0" + "," * 61, "never found"), ("00:00:00:00.000,61" + ",inf" * 61, "line 2: values that are not"),
-    ("00:00:00:00.000,61" + ",x" * 61, "line 2: a timecode"), ("1e9:0:0:0,61" + ",0" * 61, "line 2: a timecode"),
-    ("00:00:00:00.000,61" + ",0" * 60, "line 2: 62 columns instead of 63"),
-    ("00:00:00:00.000,61" + ",0" * 60 + ",", "line 2: a timecode and numbers"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        ("00:00:00:00.000,0" + "," * 61, "never found"),
+        ("00:00:00:00.000,61" + ",inf" * 61, "line 2: values that are not"),
+        ("00:00:00:00.000,61" + ",x" * 61, "line 2: a timecode"),
+        ("1e9:0:0:0,61" + ",0" * 61, "line 2: a timecode"),
+        ("00:00:00:00.000,61" + ",0" * 60, "line 2: 62 columns instead of 63"),
+        ("00:00:00:00.000,61" + ",0" * 60 + ",", "line 2: a timecode and numbers"),
+    ],
+)
 def test_broken_rows_are_named(tmp_path, body, reason):
     (tmp_path / "bad.csv").write_text(",".join(HEADER) + "\n" + body + "\n")
     with pytest.raises(FileFormatError, match=reason):
@@ -241,10 +246,15 @@ def test_what_is_no_take(tmp_path):
 # ---- the command ----
 
 
-@pytest.mark.parametrize(("options", "reason"), [
-    ([], "no mesh of its own"), (["--character", "hag", "--correctives"], "--correctives needs a tracked result"),
-    (["--character", "hag", "--source", "synthetic"], "--source needs"), (["--character", "nobody"], "neither built in"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ([], "no mesh of its own"),
+        (["--character", "hag", "--correctives"], "--correctives needs a tracked result"),
+        (["--character", "hag", "--source", "synthetic"], "--source needs"),
+        (["--character", "nobody"], "neither built in"),
+    ],
+)
 def test_export_of_a_take_refuses_in_one_line(tmp_path, capsys, options, reason):
     write_take(tmp_path / "take.csv", small_take())
     assert cli.main(["export", str(tmp_path / "take.csv"), *options]) == cli.EXIT_ERROR

@@ -23,7 +23,7 @@ from adaptiveface.export.messages import (
     osc_messages,
     read_avatar,
     vmc_messages,
-)  # fmt: skip
+)
 from adaptiveface.livelink import ARKIT_NAMES, LiveLinkTake, read_take, write_take
 from adaptiveface.livelink.convention import eye_angles
 from adaptiveface.livelink.packet import LiveLinkFrame, decode, encode
@@ -77,12 +77,23 @@ def test_datagrams_there_and_back():
     assert not lost.tracked and not lost.curves.any()
 
 
-@pytest.mark.parametrize("data", [
-    b"", b"\x06", b"\x05" + by_hand([0] * 61)[1:], by_hand([0] * 61)[:-1], by_hand([0] * 61)[:200], by_hand([np.nan] * 61),
-    b"\x06\x7f\xff\xff\xff" + bytes(100), b"\x06\xff\xff\xff\xff" + bytes(100), bytes(4000), b"{\"json\": 1}" * 30,
-    by_hand([0] * 61)[:51] + struct.pack(">ifii", 0, 0.0, 0, 1) + bytes(245),
-    by_hand([0] * 61)[:51] + struct.pack(">ifii", 0, np.inf, 60, 1) + bytes(245),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x06",
+        b"\x05" + by_hand([0] * 61)[1:],
+        by_hand([0] * 61)[:-1],
+        by_hand([0] * 61)[:200],
+        by_hand([np.nan] * 61),
+        b"\x06\x7f\xff\xff\xff" + bytes(100),
+        b"\x06\xff\xff\xff\xff" + bytes(100),
+        bytes(4000),
+        b'{"json": 1}' * 30,
+        by_hand([0] * 61)[:51] + struct.pack(">ifii", 0, 0.0, 0, 1) + bytes(245),
+        by_hand([0] * 61)[:51] + struct.pack(">ifii", 0, np.inf, 60, 1) + bytes(245),
+    ],
+)
 def test_broken_datagrams_have_a_reason(data):
     with pytest.raises(ValueError, match=r"\w"):
         decode(data)
@@ -101,11 +112,17 @@ def test_random_bytes_never_do_more():
             continue
 
 
-@pytest.mark.parametrize(("text", "address"), [
-    ("livelink", (LOOPBACK, 11111)), ("livelink:", (LOOPBACK, 11111)), ("livelink:12000", (LOOPBACK, 12000)),
-    ("livelink:0.0.0.0:11111", ("0.0.0.0", 11111)), ("livelink:192.168.1.7", ("192.168.1.7", 11111)),
-    ("livelink:[::1]:5000", ("::1", 5000)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("livelink", (LOOPBACK, 11111)),
+        ("livelink:", (LOOPBACK, 11111)),
+        ("livelink:12000", (LOOPBACK, 12000)),
+        ("livelink:0.0.0.0:11111", ("0.0.0.0", 11111)),
+        ("livelink:192.168.1.7", ("192.168.1.7", 11111)),
+        ("livelink:[::1]:5000", ("::1", 5000)),
+    ],
+)
 def test_addresses(text, address):
     assert is_livelink(text) and parse_address(text) == address
 
@@ -215,11 +232,17 @@ def received(listener: socket.socket) -> list:
         return messages
 
 
-@pytest.mark.parametrize(("options", "reason"), [
-    (["--out", "x.npz"], "must end in .csv"), (["--actor", "a.npz"], "--actor needs a sensor with depth"),
-    (["--record", "x"], "--record needs"), (["--seconds", "1"], "no frame came"), (["--vmc", "h:0"], "1 to 65535"),
-    (["--vmc-avatar", "nobody.vrm", "--vmc"], "nobody.vrm: no such file"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--out", "x.npz"], "must end in .csv"),
+        (["--actor", "a.npz"], "--actor needs a sensor with depth"),
+        (["--record", "x"], "--record needs"),
+        (["--seconds", "1"], "no frame came"),
+        (["--vmc", "h:0"], "1 to 65535"),
+        (["--vmc-avatar", "nobody.vrm", "--vmc"], "nobody.vrm: no such file"),
+    ],
+)
 def test_live_livelink_refuses_in_one_line(tmp_path, monkeypatch, capsys, options, reason):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["live", f"livelink:{free_port()}", *options]) == cli.EXIT_ERROR

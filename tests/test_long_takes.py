@@ -282,7 +282,12 @@ print(len(actor_animation(result, actor)), (resource.getrusage(resource.RUSAGE_S
 def test_export_takes_no_memory_for_long_takes(tmp_path):
     """2,400 frames are 190 MiB of vertices; four times the frames of the first export must not take 100 MiB more."""
     here = os.pathsep.join([os.path.dirname(__file__), *filter(None, [os.environ.get("PYTHONPATH")])])
-    run = subprocess.run([sys.executable, "-c", EXPORT, "2400", str(tmp_path / "r.npz")], capture_output=True, text=True,
-                         check=True, env=os.environ | {"PYTHONPATH": here})  # fmt: skip
+    run = subprocess.run(
+        [sys.executable, "-c", EXPORT, "2400", str(tmp_path / "r.npz")],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": here},
+    )
     frames, more = map(int, run.stdout.split())
     assert frames == 2400 and more < 100

@@ -40,9 +40,16 @@ def scan_of(vertices, frames=(), poses=(), noise=0.0):
     planes = np.concatenate([np.einsum("k,tkd->td", w, normals[skin]) for w in weights])
     planes /= np.linalg.norm(planes, axis=1, keepdims=True)
     points = points + noise * np.random.default_rng(0).normal(size=(len(points), 1)) * planes
-    return FusedScan(points, planes, np.full(len(points), 10.0), np.arange(len(frames)),
-                     np.array(poses).reshape(-1, 4, 4), np.zeros(len(frames)),
-                     tuple(f.features for f in frames), tuple(f.camera for f in frames))
+    return FusedScan(
+        points,
+        planes,
+        np.full(len(points), 10.0),
+        np.arange(len(frames)),
+        np.array(poses).reshape(-1, 4, 4),
+        np.zeros(len(frames)),
+        tuple(f.features for f in frames),
+        tuple(f.camera for f in frames),
+    )
 
 
 def pose_difference(a, b):
@@ -162,8 +169,9 @@ def test_the_kernel_computes_the_curless_levoy_mean():
 
 def turning_frames(actor, count=6, **noise):
     yaw = np.linspace(-0.25, 0.25, count)
-    return [render_frame(actor, actor.neutral, head_pose((0, y, 0), (8 * y, 0, 600)), k, **noise)
-            for k, y in enumerate(yaw)], yaw
+    return [
+        render_frame(actor, actor.neutral, head_pose((0, y, 0), (8 * y, 0, 600)), k, **noise) for k, y in enumerate(yaw)
+    ], yaw
 
 
 def test_fusion_averages_the_noise_and_finds_the_motion(actor):
@@ -242,8 +250,9 @@ def test_a_wild_feature_is_dropped(actor):
     frames, yaw = turning_frames(actor, 7, pixel_noise=0.3)
     poses = [head_pose((0, y, 0), (8 * y, 0, 600)) for y in yaw]
     frames[2].features.pixels[5] += 80
-    constraints = feature_constraints(scan_of(actor.neutral, frames, poses), features_on(actor.neutral),
-                                      np.tile([0.0, 0, 1], (40, 1)))
+    constraints = feature_constraints(
+        scan_of(actor.neutral, frames, poses), features_on(actor.neutral), np.tile([0.0, 0, 1], (40, 1))
+    )
     assert constraints.rms(features_on(actor.neutral))[5] < 1.0
 
 
@@ -277,8 +286,14 @@ def test_the_fit_finds_identity_and_pose():
     offset[:3, :3], offset[:3, 3] = rotation_vector_matrix(np.array([0.05, -0.08, 0.03])), [6, -4, 5]
     posed = transform_points(offset, truth)
     poses = [head_pose((0, y, 0)) for y in (-0.1, 0.0, 0.1)]
-    frames = [RgbdFrame(np.zeros((480, 640), np.float32), CAMERA, features=Features2D(
-        CAMERA.project(transform_points(pose, features_on(posed))), np.ones(40))) for pose in poses]
+    frames = [
+        RgbdFrame(
+            np.zeros((480, 640), np.float32),
+            CAMERA,
+            features=Features2D(CAMERA.project(transform_points(pose, features_on(posed))), np.ones(40)),
+        )
+        for pose in poses
+    ]
     fit = fit_identity(scan_of(posed, frames, poses), MODEL)
     assert fit.residual < 0.1
     placed = transform_points(fit.scan_from_head, fit.vertices)

@@ -61,8 +61,10 @@ def test_the_personal_neutral_lies_on_the_true_surface(performer):
         distance = surface.distance(placed[skin])
         aligned = transform_points(rigid_alignment(placed[skin], truth[skin]), placed)
         apart = np.linalg.norm(aligned - truth, axis=1)[skin]
-        print(f"{sensor.name}: {name}: true surface median {np.median(distance):.3f}, mean {distance.mean():.3f}, "
-              f"p95 {np.percentile(distance, 95):.3f} mm; correspondence median {np.median(apart):.2f} mm")
+        print(
+            f"{sensor.name}: {name}: true surface median {np.median(distance):.3f}, mean {distance.mean():.3f}, "
+            f"p95 {np.percentile(distance, 95):.3f} mm; correspondence median {np.median(apart):.2f} mm"
+        )
     assert np.median(distance) <= 0.2
     assert distance.mean() <= 0.65
     assert np.median(apart) <= 1.2

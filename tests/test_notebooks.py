@@ -120,8 +120,9 @@ def test_interrupting_a_cell_keeps_the_kernel_and_the_player(tmp_path):
         client.execute_interactive(
             "import asyncio, time\nfrom adaptiveface.views.player import Player\n"
             "player = Player(1000, lambda index: None)\nplayer.play()",
-            output_hook=lambda message: None, timeout=60,
-        )  # fmt: skip
+            output_hook=lambda message: None,
+            timeout=60,
+        )
         for busy in ("time.sleep(30)", "await asyncio.sleep(30)"):
             client.execute(busy)
             time.sleep(1.0)
@@ -131,8 +132,9 @@ def test_interrupting_a_cell_keeps_the_kernel_and_the_player(tmp_path):
         answers = []
         client.execute_interactive(
             "before = player.drawn\nawait asyncio.sleep(0.5)\nprint('playing', player.drawn > before)\nplayer.close()",
-            output_hook=lambda message: answers.append(message["content"].get("text", "")), timeout=30,
-        )  # fmt: skip
+            output_hook=lambda message: answers.append(message["content"].get("text", "")),
+            timeout=30,
+        )
         assert "playing True" in "".join(answers)
     finally:
         client.stop_channels()

@@ -63,10 +63,15 @@ def test_what_is_there_must_be_of_the_same_kind(tmp_path):
     refused("is not a result", check_output, tmp_path / "a.npz", "result")
     refused("is not an actor", check_output, result(tmp_path / "r.npz"), "actor")
     for kind, suffix, right in (
-        ("mp4", ".mp4", b"\0\0\0\x20ftypisom"), ("gif", ".gif", b"GIF89a"), ("glb", ".glb", b"glTF\2\0\0\0"),
-        ("usd", ".usda", b"#usda 1.0"), ("usd", ".usdc", b"PXR-USDC"), ("html", ".html", b"<!doctype html><p>"),
-        ("arkit-csv", ".csv", b"Timecode,BlendShapeCount"), ("result", ".npz", b""),
-    ):  # fmt: skip
+        ("mp4", ".mp4", b"\0\0\0\x20ftypisom"),
+        ("gif", ".gif", b"GIF89a"),
+        ("glb", ".glb", b"glTF\2\0\0\0"),
+        ("usd", ".usda", b"#usda 1.0"),
+        ("usd", ".usdc", b"PXR-USDC"),
+        ("html", ".html", b"<!doctype html><p>"),
+        ("arkit-csv", ".csv", b"Timecode,BlendShapeCount"),
+        ("result", ".npz", b""),
+    ):
         path = tmp_path / f"x{suffix}"
         path.write_bytes(right)
         check_output(path, kind)
@@ -192,10 +197,11 @@ COMMANDS = {
     "demo onto a file": (("demo", "--out", "a.npz"), "is a file"),
     "live, one name for two": (("live", "synthetic", "--headless", "--out", "n.npz", "--save-actor", "n.npz"), "two outputs"),
     "live onto its actor": (
-        ("live", "synthetic", "--headless", "--actor", "a.npz", "--save-actor", "./a.npz"), "also read",
+        ("live", "synthetic", "--headless", "--actor", "a.npz", "--save-actor", "./a.npz"),
+        "also read",
     ),
     "live into a full folder": (("live", "synthetic", "--headless", "--record", "full"), "holds files already"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", COMMANDS)

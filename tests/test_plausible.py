@@ -168,8 +168,7 @@ def test_features_that_show_no_face_are_refused_without_depth_too():
 # ---- which frames are the neutral ------------------------------------------------------------------------------------
 CALM = Judged(5.0, 0.9, 0.1, (0.3, 0.5, 0.4))
 ASIDE, TALKING, SMILING = (
-    dataclasses.replace(CALM, **change)
-    for change in (dict(angle=60.0, seen=0.1), dict(mouth=1.5), dict(rest=(1.6, 0.5, 0.4)))
+    dataclasses.replace(CALM, **change) for change in (dict(angle=60.0, seen=0.1), dict(mouth=1.5), dict(rest=(1.6, 0.5, 0.4)))
 )
 
 

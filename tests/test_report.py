@@ -84,19 +84,33 @@ def test_report_holds_its_parts_and_nothing_from_outside(run, tmp_path):
     evaluation = ev.evaluate_run(frames, source, source.actor)
     parameters = Parameters().set(laplacian__w1=0.2)
     path = write_report(
-        frames, source, source.actor, tmp_path / "new", source, evaluation=evaluation,
-        correctives=correctives, parameters=parameters,
-    )  # fmt: skip
+        frames,
+        source,
+        source.actor,
+        tmp_path / "new",
+        source,
+        evaluation=evaluation,
+        correctives=correctives,
+        parameters=parameters,
+    )
     assert path == tmp_path / "new" / "report.html"
     html = path.read_text(encoding="utf-8")
-    for title in ("The tracked face", "The personal rig", "Animation", "Retargeting", "Learning on the fly",
-                  "Errors against the truth", "Time per stage", "Parameters"):  # fmt: skip
+    for title in (
+        "The tracked face",
+        "The personal rig",
+        "Animation",
+        "Retargeting",
+        "Learning on the fly",
+        "Errors against the truth",
+        "Time per stage",
+        "Parameters",
+    ):
         assert f"<h2>{title}</h2>" in html
     page = Resources()
     page.feed(html)
     assert "http" not in html and "script" not in page.tags and "link" not in page.tags
     assert all(value.startswith(("data:image/webp;base64,", "data:image/png;base64,", "#")) for value in page.found)
-    assert html.count("alt=\"corrective ") == 2
+    assert html.count('alt="corrective ') == 2
     assert html.count("<svg") == html.count("</svg>") == 5
     assert "a &lt;smiling&gt; head" in html and "<smiling>" not in html
     for name in source.actor.expression_names:
@@ -125,8 +139,9 @@ def test_retargeting_section_holds_figures_pictures_and_costs(run, tmp_path):
         assert row and (lag is None or row[2] == lag), name
     for text in ("initial", "re-solved", "re-solved, with correctives"):
         assert f'alt="ogre: {text}"' in part
-    images = [np.asarray(Image.open(io.BytesIO(base64.b64decode(data))), int)
-              for data in re.findall(r"webp;base64,([^\"]+)", part)]  # fmt: skip
+    images = [
+        np.asarray(Image.open(io.BytesIO(base64.b64decode(data))), int) for data in re.findall(r"webp;base64,([^\"]+)", part)
+    ]
     assert len(images) % 4 == 0 and all((image.std(axis=(0, 1)) > 10).all() for image in images)
     assert np.abs(images[1] - images[3]).max() > 20  # initial and with correctives are different pictures
 
@@ -175,8 +190,19 @@ def test_record_of_result_arrays_equals_record_of_frames(run):
         pass
 
     result = Result()
-    for name in ("vertices", "rigid", "tracked", "timestamps", "coefficients", "coefficients_initial",
-                 "corrective_updates", "sample_state", "stage_ms", "stage_names", "reasons"):  # fmt: skip
+    for name in (
+        "vertices",
+        "rigid",
+        "tracked",
+        "timestamps",
+        "coefficients",
+        "coefficients_initial",
+        "corrective_updates",
+        "sample_state",
+        "stage_ms",
+        "stage_names",
+        "reasons",
+    ):
         setattr(result, name, getattr(record, name))
     result.parameters = Parameters().set(laplacian__w1=0.3).to_json()
     again = RunRecord.of(result)

@@ -41,9 +41,19 @@ def tracked_frame(actor: Actor, index: int, tracked: bool = True) -> TrackedFram
     distances = (0.5, 0.2, 0.1) if tracked else (np.nan,) * 3
     stage_ms = {name: float(k) for k, name in enumerate(STAGE_NAMES)} if tracked else {"rigid": 1.0}
     return TrackedFrame(
-        index, index / 30, tracked, pose, *shapes, rng.random(A), rng.random(A), state, index, *distances, stage_ms,
+        index,
+        index / 30,
+        tracked,
+        pose,
+        *shapes,
+        rng.random(A),
+        rng.random(A),
+        state,
+        index,
+        *distances,
+        stage_ms,
         "" if tracked else "the head was not found",
-    )  # fmt: skip
+    )
 
 
 def build(actor: Actor, pattern: str, keep_stages: bool = False):
@@ -66,12 +76,20 @@ def test_every_array_of_the_contract_is_written(actor, tmp_path):
     for name in ("vertices", "v1", "v2", "v3"):
         assert (arrays[name].shape, arrays[name].dtype) == ((3, N, 3), np.float32)
     expected = {
-        "triangles": ((50, 3), np.int32), "frontal": ((N,), bool), "tracked": ((3,), bool), "skipped": ((3,), bool),
-        "timestamps": ((3,), np.float64), "rigid": ((3, 4, 4), np.float32), "coefficients": ((3, A), np.float32),
-        "coefficients_initial": ((3, A), np.float32), "feature_vertices": ((40,), np.int32),
-        "feature_ids": ((40,), np.int32), "corrective_updates": ((3,), np.int32), "sample_state": ((3,), np.int8),
+        "triangles": ((50, 3), np.int32),
+        "frontal": ((N,), bool),
+        "tracked": ((3,), bool),
+        "skipped": ((3,), bool),
+        "timestamps": ((3,), np.float64),
+        "rigid": ((3, 4, 4), np.float32),
+        "coefficients": ((3, A), np.float32),
+        "coefficients_initial": ((3, A), np.float32),
+        "feature_vertices": ((40,), np.int32),
+        "feature_ids": ((40,), np.int32),
+        "corrective_updates": ((3,), np.int32),
+        "sample_state": ((3,), np.int8),
         "stage_ms": ((3, len(STAGE_NAMES)), np.float32),
-    }  # fmt: skip
+    }
     for name, (shape, dtype) in expected.items():
         assert (arrays[name].shape, arrays[name].dtype) == (shape, dtype), name
     assert arrays["expression_names"].tolist() == list("abcde") and arrays["stage_names"].tolist() == list(STAGE_NAMES)

@@ -146,6 +146,12 @@ def test_recipes_run(folder, monkeypatch, capsys):
 def test_recipe_for_blenders_console(folder):
     (recipe,) = (block for block in blocks() if block.startswith(CONSOLE))
     check = "\nprint('made', len(bpy.data.objects['frame 10'].data.vertices), len(mesh.polygons))\n"
-    run = subprocess.run([blender_python(), "-c", recipe + check], cwd=folder, capture_output=True, text=True, timeout=120,
-                         env={"PATH": "/usr/bin:/bin", "HOME": str(folder)})  # fmt: skip
+    run = subprocess.run(
+        [blender_python(), "-c", recipe + check],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={"PATH": "/usr/bin:/bin", "HOME": str(folder)},
+    )
     assert "made 6979" in run.stdout, run.stdout + run.stderr

@@ -96,8 +96,18 @@ def test_resolve_minimises_its_energy():
         assert energy(np.clip(x + rng.normal(0, 0.02, 23), 0, 1)) >= best - 1e-6 * abs(best)
 
 
-@pytest.mark.parametrize("changes", [{}, {"sparsity": 0.0}, {"sparsity": 60.0}, {"ridge": 5000.0}, {"upper": 0.3},
-                                     {"lower": -0.5}, {"lower": -1.0, "sparsity": 0.0, "ridge": 0.0}])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"sparsity": 0.0},
+        {"sparsity": 60.0},
+        {"ridge": 5000.0},
+        {"upper": 0.3},
+        {"lower": -0.5},
+        {"lower": -1.0, "sparsity": 0.0, "ridge": 0.0},
+    ],
+)
 def test_export_solves_with_the_parameters_of_the_run(scene, changes):
     """With the actor's rig beside it, a result gives the coefficients that its own tracker found."""
     actor, result, _ = scene
@@ -107,8 +117,9 @@ def test_export_solves_with_the_parameters_of_the_run(scene, changes):
     meshes[0] = 2 * actor.neutral - meshes[3]  # an expression the other way
     vertices = np.stack([transform_points(m, v) for m, v in zip(result.rigid.astype(float), meshes, strict=True)])
     tracked = np.stack([fit.resolve(v4, np.zeros(23)) for v4 in meshes])
-    run = replace(result, vertices=vertices.astype(np.float32), parameters=parameters.to_json(),
-                  coefficients=tracked.astype(np.float32))  # fmt: skip
+    run = replace(
+        result, vertices=vertices.astype(np.float32), parameters=parameters.to_json(), coefficients=tracked.astype(np.float32)
+    )
     np.testing.assert_allclose(driving_coefficients(run, actor=actor), tracked, atol=1e-3)
     assert ((tracked < -0.02).any()) == ("lower" in changes)
 
@@ -150,8 +161,7 @@ def pairs():
         script = performance(seed, a.expression_names, 100)[4::12]
         truth = np.stack([b.shape(row) for row in script])
         v4 = np.stack([a.shape(row) for row in script])
-        rig = [deformation_transfer(model.mean, head.neutral, model.triangles, model.generic_expressions)
-               for head in (a, b)]  # fmt: skip
+        rig = [deformation_transfer(model.mean, head.neutral, model.triangles, model.generic_expressions) for head in (a, b)]
         actor = replace(exact_actor(), neutral=a.neutral, blendshapes=rig[0])
         resolve = SparseResolve(actor, actor.expression_names)
         x = np.stack([resolve(shape) for shape in v4])
@@ -187,8 +197,9 @@ def test_transfer_to_the_same_head_is_exact(scene):
 
 def test_correctives_reach_the_characters_skin_only(scene):
     actor, result, _ = scene
-    short = replace(result, **{name: getattr(result, name)[:3] for name in
-                               ("vertices", "rigid", "coefficients", "coefficients_initial")})  # fmt: skip
+    short = replace(
+        result, **{name: getattr(result, name)[:3] for name in ("vertices", "rigid", "coefficients", "coefficients_initial")}
+    )
     hag = load_character("hag")
     added = character_correctives(short, actor, hag)
     assert added.shape == (3, len(hag.neutral), 3)
@@ -202,8 +213,16 @@ def test_correctives_reach_the_characters_skin_only(scene):
 
 def test_driving_coefficients_need_a_matching_actor(scene):
     actor, result, _ = scene
-    other = Actor(actor.neutral, actor.blendshapes[:2], actor.triangles, actor.frontal, ("a", "b"),
-                  actor.feature_triangles, actor.feature_weights, actor.depth_valid)  # fmt: skip
+    other = Actor(
+        actor.neutral,
+        actor.blendshapes[:2],
+        actor.triangles,
+        actor.frontal,
+        ("a", "b"),
+        actor.feature_triangles,
+        actor.feature_weights,
+        actor.depth_valid,
+    )
     with pytest.raises(FileFormatError, match="lacks"):
         driving_coefficients(result, "resolved", other)
 

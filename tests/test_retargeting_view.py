@@ -26,8 +26,7 @@ from adaptiveface.views.session import Session  # noqa: E402
 def study() -> RetargetingStudy:
     """Five frames of an opening jaw."""
     actor = exact_actor()
-    frames = [render_frame(actor, posed_shape(actor, coefficients(actor, jawOpen=0.2 * i)), head_pose(), i)
-              for i in range(5)]  # fmt: skip
+    frames = [render_frame(actor, posed_shape(actor, coefficients(actor, jawOpen=0.2 * i)), head_pose(), i) for i in range(5)]
     session = Session("jaw", frames[0].camera, frames[:1], frames, _actor=actor)
     return RetargetingStudy(session, views.Replay(frames, actor).run(), ("hag",), pane=120)
 

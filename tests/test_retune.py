@@ -64,9 +64,7 @@ def test_the_next_frame_is_what_a_new_tracker_put_there_would_make_of_it(tracker
 def test_fewer_or_more_correctives_are_the_principal_ones_of_the_buffer(tracker):
     samples = tracker.model.samples()
     assert samples.shape == (12, tracker.model.anchors.shape[0])
-    _, _, rows = np.linalg.svd(
-        samples - (samples @ tracker.model.anchors) @ tracker.model.anchors.T, full_matrices=False
-    )
+    _, _, rows = np.linalg.svd(samples - (samples @ tracker.model.anchors) @ tracker.model.anchors.T, full_matrices=False)
     for k in (2, 4, 8):
         model = retuned(tracker, START.set(adaptive_pca__K=k)).model
         assert model.correctives.shape[1] == k and model.count == 12 and model.updates == tracker.model.updates

@@ -89,10 +89,13 @@ def test_a_recording_tracks_to_the_same_result(numpy_1, tmp_path):
     p = performance(640, 576, 504.0)
     plain = [p.camera.fx, p.camera.fy, p.camera.cx, p.camera.cy, *[0.0] * 8]
     np.savez(
-        tmp_path / "take.npz", depth=np.stack([units_of(f, 1000) for f in p.frames]), depth_lens=plain,
-        colour=np.full((720, 1280, 3), (200, 100, 50), np.uint8), baseline=-32.0,
+        tmp_path / "take.npz",
+        depth=np.stack([units_of(f, 1000) for f in p.frames]),
+        depth_lens=plain,
+        colour=np.full((720, 1280, 3), (200, 100, 50), np.uint8),
+        baseline=-32.0,
         colour_lens=[610, 610, 639.5, 359.5, *[0.0] * 8],
-    )  # fmt: skip
+    )
     numpy_1(ROOT / "tests" / "azure_mkv.py", tmp_path / "take.npz", tmp_path / "take.mkv")
     printed = numpy_1("-m", "adaptiveface", "convert", tmp_path / "take.mkv", "--out", tmp_path / "out")
     assert f"{len(p)} frames" in printed and "0 dropped" in printed

@@ -228,9 +228,10 @@ def test_what_is_no_message_is_a_crash(tmp_path):
     player = FilePlayer(write(tmp_path / "take.oni"))
     for line in (b"", b"[]", b"7", b"{}", b'{"kind": "frame"}', b"x" * 10_000, b'{"kind": "error", "error": "os"}'):
         with subprocess.Popen(
-            [sys.executable, "-c", f"import sys; sys.stdout.buffer.write({line!r})"], stdin=subprocess.PIPE,
+            [sys.executable, "-c", f"import sys; sys.stdout.buffer.write({line!r})"],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-        ) as child:  # fmt: skip
+        ) as child:
             player._child = child
             with pytest.raises(SensorError, match="crashed"):
                 player._message()
@@ -278,8 +279,13 @@ def test_without_the_library_the_install_line_is_given(monkeypatch, tmp_path):
 
 
 def test_the_video_mode_nearest_to_640_by_480_with_a_picture():
-    depths = [VideoMode(100, 320, 240, 30), VideoMode(100, 640, 480, 30), VideoMode(101, 640, 480, 30),
-              VideoMode(102, 640, 480, 30), VideoMode(101, 640, 480, 60)]  # fmt: skip
+    depths = [
+        VideoMode(100, 320, 240, 30),
+        VideoMode(100, 640, 480, 30),
+        VideoMode(101, 640, 480, 30),
+        VideoMode(102, 640, 480, 30),
+        VideoMode(101, 640, 480, 60),
+    ]
     colours = [VideoMode(200, 1280, 1024, 30), VideoMode(201, 640, 480, 30), VideoMode(200, 320, 240, 30)]
     assert best_modes(depths, colours) == [depths[0], colours[2]]
     assert best_modes(depths, [*colours, VideoMode(200, 640, 480, 30)])[0] == depths[2]

@@ -28,9 +28,7 @@ class FakeCamera:
         self.units = units
         self.depth_sensor = self.device.add_sensor("Stereo Module")
         self.colour_sensor = self.device.add_sensor("RGB Camera")
-        depth, colour = self._stream(rs.stream.depth, 0, rs.format.z16, 2), self._stream(
-            rs.stream.color, 1, rs.format.rgb8, 3
-        )
+        depth, colour = self._stream(rs.stream.depth, 0, rs.format.z16, 2), self._stream(rs.stream.color, 1, rs.format.rgb8, 3)
         self.depth = self.depth_sensor.add_video_stream(depth).as_video_stream_profile()
         self.colour = self.colour_sensor.add_video_stream(colour).as_video_stream_profile()
         self.depth_sensor.add_read_only_option(rs.option.depth_units, units)

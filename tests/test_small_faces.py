@@ -34,8 +34,13 @@ def scene(heads, size, time=0.0) -> RgbdFrame:
     colour += np.linspace(0, 60, width).astype(np.uint8)[None, :, None]
     for picture, (u, v) in heads:
         colour[v : v + picture.shape[0], u : u + picture.shape[1]] = picture
-    return RgbdFrame(np.zeros((height, width), np.float32), Camera(*size, width, width, width / 2, height / 2), colour,
-                     round(30 * time), time)  # fmt: skip
+    return RgbdFrame(
+        np.zeros((height, width), np.float32),
+        Camera(*size, width, width, width / 2, height / 2),
+        colour,
+        round(30 * time),
+        time,
+    )
 
 
 def shrunk(head, width):

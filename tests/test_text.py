@@ -38,14 +38,18 @@ def saved(tmp_path_factory):
 
 def command(*words, **environment) -> subprocess.CompletedProcess:
     values = {k: v for k, v in os.environ.items() if not k.startswith(("LC_", "LANG", "PYTHONIO", "PYTHONUTF8"))}
-    return subprocess.run([sys.executable, "-m", "adaptiveface", *map(str, words)], capture_output=True,
-                          env=values | environment)  # fmt: skip
+    return subprocess.run(
+        [sys.executable, "-m", "adaptiveface", *map(str, words)], capture_output=True, env=values | environment
+    )
 
 
 ENCODINGS = [
-    {"PYTHONIOENCODING": "cp1252"}, {"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "ascii:strict"},
-    {"PYTHONIOENCODING": "cp932"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
-]  # fmt: skip
+    {"PYTHONIOENCODING": "cp1252"},
+    {"PYTHONIOENCODING": "ascii"},
+    {"PYTHONIOENCODING": "ascii:strict"},
+    {"PYTHONIOENCODING": "cp932"},
+    {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
+]
 
 
 @pytest.mark.parametrize("environment", ENCODINGS, ids=lambda e: next(iter(e.items()))[1])

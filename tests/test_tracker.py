@@ -96,8 +96,10 @@ def hidden(frame, actor, what: str):
     if what == "missing":
         depth[:, : int(np.median(np.nonzero(depth)[1])) + 15] = 0
     else:
-        (left, top), (right, bottom) = (frame.features.pixels[20:].min(axis=0).astype(int) - 4,
-                                        frame.features.pixels[20:].max(axis=0).astype(int) + 4)  # fmt: skip
+        (left, top), (right, bottom) = (
+            frame.features.pixels[20:].min(axis=0).astype(int) - 4,
+            frame.features.pixels[20:].max(axis=0).astype(int) + 4,
+        )
         depth[top:bottom, left:right] -= 40.0 * (depth[top:bottom, left:right] > 0)
     return replace(frame, depth=depth)
 

@@ -27,9 +27,7 @@ def actor():
 
 
 def whole_surface(frame, **changes):
-    return depth_surface(
-        frame.depth, frame.camera, (0, 0, frame.camera.width, frame.camera.height), DepthParameters(**changes)
-    )
+    return depth_surface(frame.depth, frame.camera, (0, 0, frame.camera.width, frame.camera.height), DepthParameters(**changes))
 
 
 def pose_difference(a, b):
@@ -44,9 +42,7 @@ def test_correspondences_of_the_true_mesh_have_no_distance(actor):
     pose = head_pose((0.05, 0.2, 0.0))
     frame = render_frame(actor, actor.neutral, pose)
     points = transform_points(pose, actor.neutral)
-    matches = find_correspondences(
-        whole_surface(frame, smoothing=0.3), points, vertex_normals(points, actor.triangles), 25.0
-    )
+    matches = find_correspondences(whole_surface(frame, smoothing=0.3), points, vertex_normals(points, actor.triangles), 25.0)
     used = (matches.weights > 0) & actor.frontal & actor.depth_valid
     assert used.sum() > 2000
     assert np.median(np.abs(matches.distances[used])) < 0.05
@@ -92,17 +88,13 @@ def test_point_to_plane_step_equals_numpy_least_squares():
     matches = Correspondences(rng.normal(size=200), normals, rng.uniform(size=200) * (rng.uniform(size=200) > 0.3))
     centre, vertex_weights = points.mean(axis=0), rng.uniform(0.5, 1, size=200)
     root = np.sqrt(matches.weights * vertex_weights)
-    expected = np.linalg.lstsq(
-        root[:, None] * rigid_jacobian(points, normals, centre), -root * matches.distances, rcond=None
-    )[0]
-    np.testing.assert_allclose(
-        point_to_plane_step(points, matches, centre, vertex_weights), expected, rtol=1e-5, atol=1e-9
-    )
+    expected = np.linalg.lstsq(root[:, None] * rigid_jacobian(points, normals, centre), -root * matches.distances, rcond=None)[
+        0
+    ]
+    np.testing.assert_allclose(point_to_plane_step(points, matches, centre, vertex_weights), expected, rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "turn, shift", [((0, 0, 0), (6, 0, 0)), ((0.03, 0.02, -0.03), (3, -3, 5)), ((0, 0.06, 0), (0, 0, -8))]
-)
+@pytest.mark.parametrize("turn, shift", [((0, 0, 0), (6, 0, 0)), ((0.03, 0.02, -0.03), (3, -3, 5)), ((0, 0.06, 0), (0, 0, -8))])
 def test_icp_recovers_a_known_motion(actor, turn, shift):
     truth = head_pose(np.array([0.05, 0.15, 0.0]) + turn, np.array([10.0, -5.0, 620.0]) + shift)
     start = head_pose((0.05, 0.15, 0.0), (10.0, -5.0, 620.0))
@@ -150,8 +142,10 @@ def test_bounded_least_squares_equals_scipy():
         np.testing.assert_allclose(got, expected, atol=1e-5)
 
 
-@pytest.mark.parametrize("lower, upper, price", [(-1.0, 1.0, 3.0), (-0.3, 0.5, 10.0), (-1.0, 3.0, 0.0), (-0.2, 0.2, 300.0),
-                                                 (-1e-3, 1.0, 5.0), (0.0, 1.0, 4.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    "lower, upper, price",
+    [(-1.0, 1.0, 3.0), (-0.3, 0.5, 10.0), (-1.0, 3.0, 0.0), (-0.2, 0.2, 300.0), (-1e-3, 1.0, 5.0), (0.0, 1.0, 4.0)],
+)
 def test_sparse_least_squares_equals_scipy_on_both_sides_of_zero(lower, upper, price):
     """|x| as the sum of a positive and a negative part: a plain bounded problem of twice the size."""
     rng = np.random.default_rng(5)
@@ -311,9 +305,7 @@ def dense_reference(actor, w1, w2, matches, normals, term):
             for c in range(3):
                 vertex = actor.feature_triangles[f, c]
                 if actor.frontal[vertex]:
-                    row[index[place[vertex]] : index[place[vertex]] + 3] += (
-                        actor.feature_weights[f, c] * term.rows[k, r]
-                    )
+                    row[index[place[vertex]] : index[place[vertex]] + 3] += actor.feature_weights[f, c] * term.rows[k, r]
             row = sp.csr_matrix(row)
             system = system + term.weights[k, r] * row.T @ row
             right = right + term.weights[k, r] * term.targets[k, r] * row.toarray().ravel()
@@ -339,9 +331,7 @@ def test_laplacian_deformation_converges_to_the_coupled_solution(actor):
     expected = dense_reference(actor, 0.1, 5.0, matches, normals, term)
     got = solver.deform(matches, normals, term, np.zeros_like(normals), steps=60)
     np.testing.assert_allclose(got, expected, atol=1e-6)
-    two = solver.deform(
-        matches, normals, term, expected + 0.05 * np.random.default_rng(1).normal(size=expected.shape), steps=2
-    )
+    two = solver.deform(matches, normals, term, expected + 0.05 * np.random.default_rng(1).normal(size=expected.shape), steps=2)
     assert np.abs(two - expected).mean() < 0.03
 
 

@@ -116,8 +116,9 @@ def test_names_that_collide_stay_apart(meshes, tmp_path):
     """Sixteen shapes were twelve prims."""
     names = ("jaw open", "jaw-open", "jaw_open", "1", "_1", "é", "ü", "")
     mesh = meshes["hag"]
-    some = replace(mesh, name="animation", target_names=names, targets=mesh.targets[: len(names)],
-                   weights=mesh.weights[:, : len(names)])  # fmt: skip
+    some = replace(
+        mesh, name="animation", target_names=names, targets=mesh.targets[: len(names)], weights=mesh.weights[:, : len(names)]
+    )
     assert len(set(prim_names(names))) == len(names)
     write_usd(tmp_path / "names.usda", some)
     again = read_usd(tmp_path / "names.usda")
@@ -144,8 +145,9 @@ def test_command(tmp_path, kind, name):
 @needs_blender
 def test_usd_in_blender(files, meshes, tmp_path):
     keys = [key for key in files if not key.endswith("a")]
-    answer = evaluate(tmp_path, {"fps": [30, 1], "files": {key: str(files[key]) for key in keys},
-                                 "frames": dict.fromkeys(keys, FRAMES)})  # fmt: skip
+    answer = evaluate(
+        tmp_path, {"fps": [30, 1], "files": {key: str(files[key]) for key in keys}, "frames": dict.fromkeys(keys, FRAMES)}
+    )
     for key in keys:
         mesh = meshes[key.split(".")[0]]
         for k, frame in enumerate(FRAMES):

@@ -35,9 +35,17 @@ def in_the_browser(slider, value: float) -> float:
     return round(shown) if isinstance(slider, widgets.IntSlider) else shown
 
 
-@pytest.mark.parametrize("start", [Parameters(), Parameters.paper(), Parameters().set(
-    blendshapes__sparsity=1 / 3, laplacian__w2=7.123, rigid__prune=17.25, fusion__voxel=0.7, rigid__converged=0.1 + 0.2
-)], ids=["defaults", "paper", "odd values"])  # fmt: skip
+@pytest.mark.parametrize(
+    "start",
+    [
+        Parameters(),
+        Parameters.paper(),
+        Parameters().set(
+            blendshapes__sparsity=1 / 3, laplacian__w2=7.123, rigid__prune=17.25, fusion__voxel=0.7, rigid__converged=0.1 + 0.2
+        ),
+    ],
+    ids=["defaults", "paper", "odd values"],
+)
 def test_no_parameter_changes_by_being_shown(start):
     """Every control holds its value, the default and the paper's value, and the browser's rounding changes none."""
     panel = views.ParameterPanel(STAGES, parameters=start)
@@ -123,8 +131,21 @@ def test_value_slider_takes_numbers_between_its_steps():
     assert slider.value == 0.5
 
 
-@pytest.mark.parametrize("text, value", [("0.3", 0.3), ("0,3", 0.3), ("3e-1", 0.3), ("\u22121", 0.0), ("7", 1.0), ("much", 0.5),
-                                         ("", 0.5), ("nan", 0.5), ("inf", 0.5), (None, 0.5)])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, value",
+    [
+        ("0.3", 0.3),
+        ("0,3", 0.3),
+        ("3e-1", 0.3),
+        ("\u22121", 0.0),
+        ("7", 1.0),
+        ("much", 0.5),
+        ("", 0.5),
+        ("nan", 0.5),
+        ("inf", 0.5),
+        (None, 0.5),
+    ],
+)
 def test_typed_numbers_move_the_slider_within_its_ends(text, value):
     slider = ValueSlider(linear_steps(0, 1), 0.5)
     typed = TypedNumbers([slider, widgets.IntSlider(3)])
@@ -144,4 +165,11 @@ def test_log_steps_begin_at_zero_where_zero_is_allowed():
     assert log_steps(0, 100)[:2] == [0, 1e-3] and log_steps(0, 100, [1e-5])[1] == 1e-6
     assert log_steps(0.3, 7)[0] == 0.3 and log_steps(0.3, 7)[-1] == 7
     assert [short(v) for v in (5e-5, 0.1, 2.5, 1e6, 1 / 3, 7, 1234567.5)] == [
-        "5e-05", "0.1", "2.5", "1e+06", "0.333333333333", "7", "1234567.5"]  # fmt: skip
+        "5e-05",
+        "0.1",
+        "2.5",
+        "1e+06",
+        "0.333333333333",
+        "7",
+        "1234567.5",
+    ]

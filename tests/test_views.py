@@ -174,9 +174,7 @@ def test_points_appear_where_they_are(session):
     empty = decoded(view._image)
     tip = actor.neutral[actor.neutral[:, 2].argmax()]
     for side in (-1.0, 1.0):  # the subject's left is +x, on the right of the picture
-        view.show_points(
-            0, tip + np.array([30.0 * side, 0, 0]) + np.random.default_rng(0).normal(size=(500, 3)), np.ones(500)
-        )
+        view.show_points(0, tip + np.array([30.0 * side, 0, 0]) + np.random.default_rng(0).normal(size=(500, 3)), np.ones(500))
         view.refresh()
         columns = np.nonzero((np.abs(decoded(view._image) - empty).max(axis=2) > 40).any(axis=0))[0]
         assert len(columns) and (columns > 80).all() == (side > 0) and (columns < 80).all() == (side < 0)
@@ -258,9 +256,12 @@ def test_preview_of_k_learns_again_from_the_earlier_frames(session):
 
 
 CHANGES = [
-    {"blendshapes__A": 5}, {"kalman__model": "acceleration"}, {"rigid__prune": 10.0}, {"depth__smoothing": 3.0},
+    {"blendshapes__A": 5},
+    {"kalman__model": "acceleration"},
+    {"rigid__prune": 10.0},
+    {"depth__smoothing": 3.0},
     {"blendshapes__w": 1e-3},
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("changes", CHANGES)
@@ -275,7 +276,7 @@ FOLLOWED = [
     ({"laplacian__w2": 1e5}, lambda r: np.linalg.norm(r.v2 - r.v1, axis=1).mean() < 0.02),
     ({"adaptive_pca__K": 0}, lambda r: abs(r.anchor_distance - r.adaptive_distance) < 1e-6),
     ({"blendshapes__A": 5}, lambda r: len(r.coefficients_initial) == 5),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("changes, has_it", FOLLOWED)
@@ -329,8 +330,9 @@ def bench_of(session, **options) -> views.Workbench:
 
 def test_the_sliders_of_a_workbench_end_at_the_actors_expressions(session, strict):
     """A is 23 by default; with fewer expressions the slider shows those, and the run keeps its own parameters."""
-    few = dataclasses.replace(session.actor, blendshapes=session.actor.blendshapes[:9],
-                              expression_names=session.actor.expression_names[:9])  # fmt: skip
+    few = dataclasses.replace(
+        session.actor, blendshapes=session.actor.blendshapes[:9], expression_names=session.actor.expression_names[:9]
+    )
     less = dataclasses.replace(session, frames=session.frames[:3], _actor=few)
     bench = views.Workbench(less, ["blendshapes"], {"v1": lambda result, frame: (result.v1, None)}, camera=False)
     slider = bench.panel["blendshapes.A"]
@@ -470,9 +472,7 @@ def test_printed_equation_solves_the_stacked_rows_without_weights(session):
     """The normal equations of K dv = G^-1 a hold, with the rows of eqs. (3), (4) and (6) written out here anew."""
     actor, frame = session.actor, session.frames[8]
     result = views.Replay(session.frames[:9], actor).run()[8]
-    solution = (
-        laplacian_study.PrintedEquation(actor, frame.camera).deform(frame, result, 0.1, 100.0) @ result.rigid[:3, :3].T
-    )
+    solution = laplacian_study.PrintedEquation(actor, frame.camera).deform(frame, result, 0.1, 100.0) @ result.rigid[:3, :3].T
     frontal, vertices = np.flatnonzero(actor.frontal), result.in_camera(result.v1[actor.frontal])
     u, v = np.round(frame.camera.project(vertices)).astype(int).T
     ratio = frame.depth[v, u] / vertices[:, 2]
@@ -510,9 +510,7 @@ def test_error_in_the_hole_counts_what_lost_its_depth(session):
 
 
 def test_incremental_correctives_lie_near_the_batch_pca(session):
-    replay = views.Replay(
-        session.frames * 3, session.actor, Parameters().set(adaptive_pca__K=2, adaptive_pca__valid_min=0.01)
-    )
+    replay = views.Replay(session.frames * 3, session.actor, Parameters().set(adaptive_pca__K=2, adaptive_pca__valid_min=0.01))
     replay.run()
     samples = pca_study.learned_samples(replay, 35)
     assert len(samples) > 20

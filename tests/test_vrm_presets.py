@@ -29,12 +29,31 @@ def driven(**values: float) -> dict[str, float]:
     return {p: w for p, w in zip(PRESETS, preset_weights(curves(**values))[0].round(6).tolist(), strict=True) if w}
 
 
-@pytest.mark.parametrize(("name", "preset"), [
-    ("aa", "aa"), ("A", "aa"), ("o", "oh"), ("Blink_L", "blinkLeft"), ("blink_l", "blinkLeft"), ("BLINK", "blink"),
-    ("Joy", "happy"), ("happy", "happy"), ("Sorrow", "sad"), ("Fun", "relaxed"), ("LookLeft", "lookLeft"),
-    ("lookup", "lookUp"), ("Fcl_MTH_U", "ou"), ("Fcl_EYE_Close_R", "blinkRight"), ("Fcl_ALL_Surprised", "surprised"),
-    ("neutral", None), ("jawOpen", None), ("", None), ("Fcl_EYE_Joy_R", None), ("ab", None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [
+        ("aa", "aa"),
+        ("A", "aa"),
+        ("o", "oh"),
+        ("Blink_L", "blinkLeft"),
+        ("blink_l", "blinkLeft"),
+        ("BLINK", "blink"),
+        ("Joy", "happy"),
+        ("happy", "happy"),
+        ("Sorrow", "sad"),
+        ("Fun", "relaxed"),
+        ("LookLeft", "lookLeft"),
+        ("lookup", "lookUp"),
+        ("Fcl_MTH_U", "ou"),
+        ("Fcl_EYE_Close_R", "blinkRight"),
+        ("Fcl_ALL_Surprised", "surprised"),
+        ("neutral", None),
+        ("jawOpen", None),
+        ("", None),
+        ("Fcl_EYE_Joy_R", None),
+        ("ab", None),
+    ],
+)
 def test_names_in_every_vrm(name, preset):
     assert preset_name(name) == preset
 

@@ -132,8 +132,7 @@ def test_resolution_does_not_matter(frames, average):
     """The same picture with three times the pixels is the same measurement."""
     frame = frames[0]
     c = frame.camera
-    large = dataclasses.replace(c, width=3 * c.width, height=3 * c.height, fx=3 * c.fx, fy=3 * c.fy, cx=3 * c.cx,
-                                cy=3 * c.cy)  # fmt: skip
+    large = dataclasses.replace(c, width=3 * c.width, height=3 * c.height, fx=3 * c.fx, fy=3 * c.fy, cx=3 * c.cx, cy=3 * c.cy)
     features = Features2D(3 * frame.features.pixels, frame.features.confidence)
     small = ColourTracker(average).track(frame)
     big = ColourTracker(average).track(dataclasses.replace(frame, camera=large, features=features))

@@ -68,16 +68,23 @@ const validator = require(process.argv[1]), fs = require('fs'), path = require('
 
 def validation(modules: Path, *paths: Path) -> list[list[str]]:
     """For each file the codes of the errors and warnings that the Khronos validator finds."""
-    run = subprocess.run(["node", "-e", _VALIDATE, str(modules / "gltf-validator"), *map(str, paths)],
-                         capture_output=True, text=True, timeout=180, check=True)  # fmt: skip
+    run = subprocess.run(
+        ["node", "-e", _VALIDATE, str(modules / "gltf-validator"), *map(str, paths)],
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=True,
+    )
     found = json.loads(run.stdout)
     return [sorted(m["code"] for m in found[str(path)] if m["severity"] < 2) for path in paths]
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
     extensions_map = http.server.SimpleHTTPRequestHandler.extensions_map | {
-        ".js": "text/javascript", ".mjs": "text/javascript", ".wasm": "application/wasm",
-    }  # fmt: skip
+        ".js": "text/javascript",
+        ".mjs": "text/javascript",
+        ".wasm": "application/wasm",
+    }
 
     def log_message(self, *_) -> None:
         pass
@@ -108,8 +115,13 @@ def ask(folder: Path, modules: Path, page: str, files: dict[str, Path], seconds:
 def _answer(browser: str, address: str, seconds: int) -> str:
     from playwright.sync_api import sync_playwright
 
-    flags = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-             "--disable-background-networking"]  # fmt: skip
+    flags = [
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--disable-background-networking",
+    ]
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser, headless=True, args=flags)
         page = chromium.new_page(viewport={"width": 480, "height": 480})

@@ -12,13 +12,22 @@ from .tables import columns_of
 
 #: Columns of the index, where the rows have them; the tables hold everything.
 _SHOWN = (
-    ("frames", "{:d}"), ("tracked", "{:d}"), ("broken", "{:d}"), ("learned", "{:d}"), ("ms_median", "{:.1f}"),
-    ("residual", "{:.2f}"), ("v4_surface_p95", "{:.2f}"), ("v4_active_share", "{:.3f}"), ("seconds", "{:.0f}"),
-)  # fmt: skip
+    ("frames", "{:d}"),
+    ("tracked", "{:d}"),
+    ("broken", "{:d}"),
+    ("learned", "{:d}"),
+    ("ms_median", "{:.1f}"),
+    ("residual", "{:.2f}"),
+    ("v4_surface_p95", "{:.2f}"),
+    ("v4_active_share", "{:.3f}"),
+    ("seconds", "{:.0f}"),
+)
 _TITLES = {
-    "ms_median": "ms a frame", "residual": "depth residual, mm", "v4_surface_p95": "surface error, 95 %, mm",
+    "ms_median": "ms a frame",
+    "residual": "depth residual, mm",
+    "v4_surface_p95": "surface error, 95 %, mm",
     "v4_active_share": "active share",
-}  # fmt: skip
+}
 _FIXED = ("recording", "source", "status", "reason", "folder")
 
 

@@ -169,5 +169,3 @@ def _names(sources: Sequence[str]) -> list[str]:
         taken.add(name.casefold())
         names.append(name)
     return names
-
-

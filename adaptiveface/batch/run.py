@@ -56,8 +56,9 @@ class Batch:
         left = [job for job in self.jobs if job.name not in records]
         processes = processes or min(os.cpu_count() or 1, max(len(left), 1))
         work = partial(run_job, str(self.folder.resolve()))
-        bar = tqdm(total=len(self.jobs), initial=len(records), desc="batch", unit="recording",
-                   disable=None if progress else True)  # fmt: skip
+        bar = tqdm(
+            total=len(self.jobs), initial=len(records), desc="batch", unit="recording", disable=None if progress else True
+        )
         try:
             with bar:
                 for job, answer in completed(work, left, client, processes):
@@ -78,6 +79,9 @@ class Batch:
 def _failed(job: Job, error: BaseException) -> dict:
     reason = str(error) if isinstance(error, AdaptiveFaceError) else f"{type(error).__name__}: {error}"
     return {
-        "recording": job.name.split("/")[0], "source": job.source, **dict(job.settings),
-        "status": "failed", "reason": " ".join(reason.split()),
-    }  # fmt: skip
+        "recording": job.name.split("/")[0],
+        "source": job.source,
+        **dict(job.settings),
+        "status": "failed",
+        "reason": " ".join(reason.split()),
+    }

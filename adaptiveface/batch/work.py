@@ -96,8 +96,9 @@ def _work(folder: Path, job: Job) -> dict:
         from ..report import write_report
 
         still = sum(len(take.frames) for take in takes if take.leading)
-        write_report(result, source, actor, folder, truth, evaluation=evaluation, correctives=result.correctives,
-                     still_frames=still)  # fmt: skip
+        write_report(
+            result, source, actor, folder, truth, evaluation=evaluation, correctives=result.correctives, still_frames=still
+        )
     return summary(result, evaluation)
 
 

@@ -99,13 +99,15 @@ class LiveFigures:
         ]
         lines = [f"{'':<28}{'median':>9}{'95 %':>9}", *(f"{name:<28}{a:>9}{b:>9}" for name, a, b in rows)]
         dropped = f"sensor {self.dropped_sensor}, detector {self.dropped_features}, tracker {self.dropped_tracker}"
-        return "\n".join([
-            f"{self.frames} frames in {self.seconds:.1f} s: {self.fps:.1f} a second, {self.lost} without a face; "
-            f"longest latency {self.latency_max:.0f} ms",
-            f"dropped: {dropped}",
-            *lines,
-            f"this process kept {self.own_cores:.2f} cores busy; load {self.load:.1f} on {self.cores} cores{busy}",
-        ])  # fmt: skip
+        return "\n".join(
+            [
+                f"{self.frames} frames in {self.seconds:.1f} s: {self.fps:.1f} a second, {self.lost} without a face; "
+                f"longest latency {self.latency_max:.0f} ms",
+                f"dropped: {dropped}",
+                *lines,
+                f"this process kept {self.own_cores:.2f} cores busy; load {self.load:.1f} on {self.cores} cores{busy}",
+            ]
+        )
 
 
 def measure_live(seconds: float, warm_up: float = WARM_UP_SECONDS, tick: Callable[[float], None] = lambda s: None):
@@ -133,11 +135,17 @@ def measure_live(seconds: float, warm_up: float = WARM_UP_SECONDS, tick: Callabl
     }
     dropped = {k: getattr(after, k) - getattr(before, k) for k in vars(after) if k.startswith("dropped_")}
     return LiveFigures(
-        seconds=round(elapsed, 2), frames=len(rows), fps=round(len(rows) / elapsed, 2), lost=int((rows[:, 2] == 0).sum()),
-        latency_max=round(float(latency.max()), 2), own_cores=round(cpu / elapsed, 3),
-        load=round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0, cores=os.cpu_count() or 1,
-        **percentiles, **dropped,
-    )  # fmt: skip
+        seconds=round(elapsed, 2),
+        frames=len(rows),
+        fps=round(len(rows) / elapsed, 2),
+        lost=int((rows[:, 2] == 0).sum()),
+        latency_max=round(float(latency.max()), 2),
+        own_cores=round(cpu / elapsed, 3),
+        load=round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0,
+        cores=os.cpu_count() or 1,
+        **percentiles,
+        **dropped,
+    )
 
 
 def _wait(session: LiveSession, seconds: float, tick: Callable[[float], None]) -> float:

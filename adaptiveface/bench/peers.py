@@ -70,10 +70,13 @@ def record(tracker: FaceTracker, frames, count: int) -> Recorded:
         calls = [
             stack.enter_context(_recorded(owner, name))
             for owner, name in (
-                (tracker.rigid, "align"), (tracker.blendshapes, "fit"), (tracker.blendshapes, "_solve"),
-                (expression, "add_rows"), (tracker.deformation.system, "precondition"),
+                (tracker.rigid, "align"),
+                (tracker.blendshapes, "fit"),
+                (tracker.blendshapes, "_solve"),
+                (expression, "add_rows"),
+                (tracker.deformation.system, "precondition"),
             )
-        ]  # fmt: skip
+        ]
         for frame in frames[-count:]:
             tracker.track(frame)
     return Recorded(tracker, *calls, learn)
@@ -251,9 +254,7 @@ def prefactored_solve(recorded: Recorded, limit: int) -> Comparison:
         n = deformation.system.smoothing.shape[0]
         matrix = sp.csc_matrix(deformation.system.smoothing + deformation.w1 * sp.identity(n))
         data = igl.min_quad_with_fixed_data()
-        igl.min_quad_with_fixed_precompute(
-            matrix, np.zeros(0, np.int64), sp.csc_matrix((0, n), dtype=float), True, data
-        )
+        igl.min_quad_with_fixed_precompute(matrix, np.zeros(0, np.int64), sp.csc_matrix((0, n), dtype=float), True, data)
         nothing = np.zeros((0, 3))
 
         def peer(right):  # it minimises z^T A z / 2 + z^T B

@@ -70,9 +70,7 @@ def stage_table(timings: Timings) -> str:
         median, p95 = np.percentile(values, [50, 95])
         beside = f"{paper:>9.1f}{median / paper:>9.0%}" if paper else f"{'-':>9}{'-':>9}"
         lines.append(f"{name:<20}{median:>9.2f}{p95:>9.2f}{beside}")
-    lines.append(
-        f"{'CPU time of track()':<20}{np.median(timings.cpu_ms):>9.2f}{np.percentile(timings.cpu_ms, 95):>9.2f}"
-    )
+    lines.append(f"{'CPU time of track()':<20}{np.median(timings.cpu_ms):>9.2f}{np.percentile(timings.cpu_ms, 95):>9.2f}")
     return "\n".join(lines)
 
 
@@ -93,14 +91,16 @@ def verdict(timings: Timings, comparisons: list[Comparison]) -> str:
     """The two claims in words: a third of the paper's sum, every stage faster than its peer."""
     median = float(np.median(timings.stage_ms.sum(axis=1)))
     limit = PAPER_SUM_MS / 3
-    lines = [f"sum of stages {median:.2f} ms, {'within' if median <= limit else 'ABOVE'} a third of the paper's "
-             f"({limit:.2f} ms)"]  # fmt: skip
+    lines = [
+        f"sum of stages {median:.2f} ms, {'within' if median <= limit else 'ABOVE'} a third of the paper's ({limit:.2f} ms)"
+    ]
     slower = [entry for entry in comparisons if entry.peer_ms is not None and entry.peer_ms <= entry.ours_ms]
     compared = sum(entry.peer_ms is not None for entry in comparisons)
     lines.append(
-        f"slower than its peer: {', '.join(entry.stage for entry in slower)}" if slower
+        f"slower than its peer: {', '.join(entry.stage for entry in slower)}"
+        if slower
         else f"faster than its peer in {compared} of {compared} comparisons"
-    )  # fmt: skip
+    )
     return "\n".join(lines)
 
 

@@ -114,8 +114,13 @@ def _range(counts: tuple[int, int]) -> str:
     return f"constant at {counts[0]}" if counts[0] == counts[1] else f"CHANGE from {counts[0]} to {counts[1]}"
 
 
-def soak(minutes: float, make_detector=TimedDetector, frames: int = 70, every: float = 1.0,
-         tick: Callable[[float], None] = lambda s: None) -> tuple[SoakFigures, np.ndarray]:  # fmt: skip
+def soak(
+    minutes: float,
+    make_detector=TimedDetector,
+    frames: int = 70,
+    every: float = 1.0,
+    tick: Callable[[float], None] = lambda s: None,
+) -> tuple[SoakFigures, np.ndarray]:
     """Run the chain at full speed, sample memory, threads and handles ``every`` so many seconds, judge the last ``minutes``.
 
     Returns the figures and the samples (n, 5): seconds, own and resident bytes, threads, file handles. Raises
@@ -161,10 +166,17 @@ def _figures(rows: np.ndarray, minutes: float, count: list[int]) -> SoakFigures:
         return round(values.min() / 2**20, 2), round(values.max() / 2**20, 2)
 
     return SoakFigures(
-        minutes, warm_up, count[0], count[0] / total, count[1],
-        trend(t, memory / 1024), mib(memory), mib(resident),
-        (int(threads.min()), int(threads.max())), (int(handles.min()), int(handles.max())),
-    )  # fmt: skip
+        minutes,
+        warm_up,
+        count[0],
+        count[0] / total,
+        count[1],
+        trend(t, memory / 1024),
+        mib(memory),
+        mib(resident),
+        (int(threads.min()), int(threads.max())),
+        (int(handles.min()), int(handles.max())),
+    )
 
 
 def _sampler() -> Callable[[], tuple[int, int, int, int]]:

@@ -21,8 +21,7 @@ from .folders import cache_folder
 
 # Older versions of numba name them with an underscore.
 _Beside, _Named = (
-    getattr(caching, name, None) or getattr(caching, f"_{name}")
-    for name in ("InTreeCacheLocator", "UserProvidedCacheLocator")
+    getattr(caching, name, None) or getattr(caching, f"_{name}") for name in ("InTreeCacheLocator", "UserProvidedCacheLocator")
 )
 
 

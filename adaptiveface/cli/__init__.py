@@ -19,10 +19,21 @@ from .speech import speak
 EXIT_ERROR, EXIT_INTERRUPTED, EXIT_PIPE, EXIT_TERMINATED = 2, 130, 141, 143
 #: In the order of the help; each adds itself.
 COMMANDS = (
-    offline.add_demo, offline.add_capture, offline.add_track, sensors.add_record, sensors.add_convert,
-    offline.add_export, sensors.add_stream, sensors.add_live, studies.add_batch, studies.add_evaluate, tools.add_bench,
-    tools.add_lab, tools.add_exercises, tools.add_doctor,
-)  # fmt: skip
+    offline.add_demo,
+    offline.add_capture,
+    offline.add_track,
+    sensors.add_record,
+    sensors.add_convert,
+    offline.add_export,
+    sensors.add_stream,
+    sensors.add_live,
+    studies.add_batch,
+    studies.add_evaluate,
+    tools.add_bench,
+    tools.add_lab,
+    tools.add_exercises,
+    tools.add_doctor,
+)
 
 
 def main(argv: list[str] | None = None) -> int:

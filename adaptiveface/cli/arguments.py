@@ -74,9 +74,12 @@ def add_neutral_frames(command: argparse.ArgumentParser, default: int | None = 4
     """``--neutral-frames N`` or ``FIRST:LAST``."""
     text = "how many of the leading frames with a face, or which ones (default: %(default)s); a video needs none"
     command.add_argument(
-        "--neutral-frames", type=neutral_frames, default=default, metavar="N|FIRST:LAST",
+        "--neutral-frames",
+        type=neutral_frames,
+        default=default,
+        metavar="N|FIRST:LAST",
         help=text if default else text.replace("%(default)s", "all"),
-    )  # fmt: skip
+    )
 
 
 def parameters(settings: list[str]):

@@ -40,14 +40,23 @@ def run_demo(args: argparse.Namespace) -> int:
     actor = capture_from(sensor, chosen, sensor.neutral_frames, progress=True)
     actor.save(args.out / "actor.npz")
     collector = ErrorCollector(sensor, actor)
-    result = track_to_file(sensor, actor, args.out / "result.npz", chosen, progress=True,
-                           on_frame=lambda tracked, _: collector.add(tracked))  # fmt: skip
+    result = track_to_file(
+        sensor, actor, args.out / "result.npz", chosen, progress=True, on_frame=lambda tracked, _: collector.add(tracked)
+    )
     evaluation = collector.finish()
     print(result.summary())
     print(evaluation.table())
     known = measure_coefficients(sensor, actor, chosen, progress=True)
-    _report(result, sensor, actor, args.out, evaluation=evaluation, known=known, still_frames=sensor.neutral_frames,
-            character=args.character or "hag")  # fmt: skip
+    _report(
+        result,
+        sensor,
+        actor,
+        args.out,
+        evaluation=evaluation,
+        known=known,
+        still_frames=sensor.neutral_frames,
+        character=args.character or "hag",
+    )
     if args.character:
         from ..export.command import write_demo_character
 
@@ -90,8 +99,9 @@ def run_capture(args: argparse.Namespace) -> int:
 
     actor = capture_from(opened(source_name(args), args.fov), chosen, args.neutral_frames, progress=True)
     actor.save(args.out)
-    print(f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, "
-          f"{len(actor.scan_points)} scan points")  # fmt: skip
+    print(
+        f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, {len(actor.scan_points)} scan points"
+    )
     return 0
 
 

@@ -91,8 +91,12 @@ def run_stream(args: argparse.Namespace) -> int:
 def add_live(commands) -> None:
     """``live``."""
     live = commands.add_parser("live", help="a sensor, the neutral scan, and the tracked face: in the notebook or here")
-    live.add_argument("sensor", nargs="?", metavar="SENSOR", help="synthetic, realsense, ..., a recording, or "
-                      "livelink[:[HOST:]PORT]: an iPhone's curves")  # fmt: skip
+    live.add_argument(
+        "sensor",
+        nargs="?",
+        metavar="SENSOR",
+        help="synthetic, realsense, ..., a recording, or livelink[:[HOST:]PORT]: an iPhone's curves",
+    )
     add_mirrored(live)
     live.add_argument("--headless", action="store_true", help="in the terminal; without SENSOR: which ones there are")
     live.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help="of the notebooks")

@@ -16,12 +16,19 @@ def add_batch(commands) -> None:
     batch = commands.add_parser("batch", help="capture, track and score many recordings; go on where it was stopped")
     batch.add_argument("sources", metavar="FOLDER_OR_LIST", help="a folder of recordings, or a text file that lists them")
     batch.add_argument("--out", type=Path, required=True, metavar="DIR", help="results, tables and index.html")
-    batch.add_argument("--sweep", nargs="+", action="extend", default=[], metavar="stage.name=v,v,...",
-                       help="track with each value, e.g. laplacian.w2=0.5,1.5,5; several make every combination")  # fmt: skip
+    batch.add_argument(
+        "--sweep",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="stage.name=v,v,...",
+        help="track with each value, e.g. laplacian.w2=0.5,1.5,5; several make every combination",
+    )
     batch.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from each recording")
     batch.add_argument("--neutral-frames", type=whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
-    batch.add_argument("--export", nargs="+", choices=list(FORMATS), default=[], metavar="FORMAT",
-                       help=f"also write {', '.join(FORMATS)}")  # fmt: skip
+    batch.add_argument(
+        "--export", nargs="+", choices=list(FORMATS), default=[], metavar="FORMAT", help=f"also write {', '.join(FORMATS)}"
+    )
     batch.add_argument("--no-report", action="store_true", help="leave out report.html of each recording")
     batch.add_argument("--processes", type=whole(1, 1024), metavar="N", help="default: one per processor")
     batch.add_argument("--cluster", metavar="tcp://HOST:PORT", help="a Dask scheduler, instead of processes here")
@@ -42,9 +49,14 @@ def run_batch(args: argparse.Namespace) -> int:
         Actor.load(args.actor)  # a damaged rig ends here, and not in every recording
         actor = str(args.actor.resolve())
     jobs = expand(
-        find_sources(args.sources), parameters(args.set), parse_sweep(args.sweep), actor=actor,
-        neutral_frames=args.neutral_frames, formats=tuple(args.export), report=not args.no_report,
-    )  # fmt: skip
+        find_sources(args.sources),
+        parameters(args.set),
+        parse_sweep(args.sweep),
+        actor=actor,
+        neutral_frames=args.neutral_frames,
+        formats=tuple(args.export),
+        report=not args.no_report,
+    )
     client = dask_client(args.cluster) if args.cluster else None
     try:
         records = Batch(jobs, args.out).run(client, args.processes, progress=True)
@@ -61,9 +73,13 @@ def run_batch(args: argparse.Namespace) -> int:
 def add_evaluate(commands) -> None:
     """``evaluate``."""
     evaluate = commands.add_parser("evaluate", help="score results, or another tracker's meshes, against the truth")
-    evaluate.add_argument("pairs", nargs="+", metavar="RESULT TRUTH",
-                          help="result.npz or another tracker's .npz, and its truth: ground_truth.npz, the recording's "
-                          "folder, or synthetic:SEED[:NOISE]; several pairs make a mean over performers")  # fmt: skip
+    evaluate.add_argument(
+        "pairs",
+        nargs="+",
+        metavar="RESULT TRUTH",
+        help="result.npz or another tracker's .npz, and its truth: ground_truth.npz, the recording's "
+        "folder, or synthetic:SEED[:NOISE]; several pairs make a mean over performers",
+    )
     evaluate.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside each result")
     evaluate.add_argument("--step", type=whole(1, 1000), default=1, metavar="N", help="score every N-th frame")
     evaluate.add_argument("--csv", type=Path, metavar="FILE", help="also write one row per result")

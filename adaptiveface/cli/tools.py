@@ -50,8 +50,12 @@ def add_exercises(commands) -> None:
     todo.add_argument("--grade", type=Path, metavar="FOLDER", help="grade submissions, one folder or file per student")
     todo.add_argument("--otter", type=Path, metavar="DIR", help="write test files for otter-grader")
     todo.add_argument("--mistakes", action="store_true", help="print every planted mistake and what the grader says of it")
-    exercises.add_argument("--out", type=Path, metavar="DIR", help="of --grade: grades.csv, grades.json, gradescope/ "
-                           "(default: grades beside FOLDER)")  # fmt: skip
+    exercises.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="of --grade: grades.csv, grades.json, gradescope/ (default: grades beside FOLDER)",
+    )
     exercises.set_defaults(run=run_exercises)
 
 

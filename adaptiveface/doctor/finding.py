@@ -42,8 +42,14 @@ def importable(module: str) -> bool:
 def failure(statement: str) -> str | None:
     """Why a statement fails in a Python of its own, in one line; None when it does not. Broken libraries crash."""
     try:
-        run = subprocess.run([sys.executable, "-c", statement], stdin=subprocess.DEVNULL, capture_output=True, text=True,
-                             errors="replace", timeout=_SECONDS)  # fmt: skip
+        run = subprocess.run(
+            [sys.executable, "-c", statement],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_SECONDS,
+        )
     except subprocess.TimeoutExpired:
         return f"no answer within {_SECONDS} s"
     if run.returncode == 0:

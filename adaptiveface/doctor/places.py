@@ -56,8 +56,13 @@ def _model() -> Finding:
         return Finding("caches", "detector's model", OK, f"{found}, {size(found.stat().st_size)}")
     if named:
         return Finding("caches", "detector's model", FAULT, f"{named}: no such file", f"correct or unset {ENVIRONMENT}")
-    return Finding("caches", "detector's model", NOTE, "not there yet, fetched on first use",
-                   f"without a network: set {ENVIRONMENT} to a local copy")  # fmt: skip
+    return Finding(
+        "caches",
+        "detector's model",
+        NOTE,
+        "not there yet, fetched on first use",
+        f"without a network: set {ENVIRONMENT} to a local copy",
+    )
 
 
 def _bytes(folder: Path) -> int:

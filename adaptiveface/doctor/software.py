@@ -15,9 +15,16 @@ from .finding import FAULT, NOTE, OK, Finding, failure, importable, installed
 
 #: What every command needs: distribution -> module.
 NEEDED = {
-    "numpy": "numpy", "scipy": "scipy", "numba": "numba", "threadpoolctl": "threadpoolctl", "tqdm": "tqdm",
-    "trimesh": "trimesh", "matplotlib": "matplotlib", "platformdirs": "platformdirs", "pillow": "PIL",
-}  # fmt: skip
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "numba": "numba",
+    "threadpoolctl": "threadpoolctl",
+    "tqdm": "tqdm",
+    "trimesh": "trimesh",
+    "matplotlib": "matplotlib",
+    "platformdirs": "platformdirs",
+    "pillow": "PIL",
+}
 #: extra -> (modules that it brings, what for).
 EXTRAS = {
     "landmarks": (("mediapipe", "av"), "2D features in colour pictures, videos"),
@@ -55,10 +62,15 @@ def versions() -> list[Finding]:
     """Python, adaptiveface, and what every command needs."""
     right = (3, 11) <= sys.version_info[:2] <= (3, 13)
     found = [
-        Finding("versions", "python", OK if right else FAULT, f"{platform.python_version()} on {platform.platform()}",
-                "" if right else "install Python 3.11, 3.12 or 3.13"),
+        Finding(
+            "versions",
+            "python",
+            OK if right else FAULT,
+            f"{platform.python_version()} on {platform.platform()}",
+            "" if right else "install Python 3.11, 3.12 or 3.13",
+        ),
         Finding("versions", "adaptiveface", OK, __version__),
-    ]  # fmt: skip
+    ]
     for name, module in NEEDED.items():
         error = failure(f"import {module}")
         fix = f"python -m pip install --force-reinstall {name}" if error else ""
@@ -112,8 +124,11 @@ def graphics() -> list[Finding]:
     if not sys.platform.startswith("linux"):
         return [Finding("graphics", "OpenGL", OK, "part of the system")]
     found = []
-    for name, library, package in (("EGL", "libEGL.so.1", "libegl1"), ("OpenGL ES", "libGLESv2.so.2", "libgles2"),
-                                   ("OpenGL", "libGL.so.1", "libgl1 libgl1-mesa-dri")):  # fmt: skip
+    for name, library, package in (
+        ("EGL", "libEGL.so.1", "libegl1"),
+        ("OpenGL ES", "libGLESv2.so.2", "libgles2"),
+        ("OpenGL", "libGL.so.1", "libgl1 libgl1-mesa-dri"),
+    ):
         there = _loads(library)
         text = library if there else f"{library} is missing: MediaPipe and the notebooks' views need it"
         found.append(Finding("graphics", name, OK if there else NOTE, text, "" if there else f"{_APT} {package}"))

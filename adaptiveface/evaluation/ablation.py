@@ -46,9 +46,13 @@ VARIANTS = (
 
 
 def run_ablations(
-    frames: Iterable[RgbdFrame], truth, actor: Actor, parameters: Parameters | None = None,
-    variants: Iterable[Variant] = VARIANTS, stride: int = 1,
-) -> dict[str, Evaluation]:  # fmt: skip
+    frames: Iterable[RgbdFrame],
+    truth,
+    actor: Actor,
+    parameters: Parameters | None = None,
+    variants: Iterable[Variant] = VARIANTS,
+    stride: int = 1,
+) -> dict[str, Evaluation]:
     """Track the same frames with every variant; returns name -> :class:`Evaluation` of its one stage.
 
     ``truth`` as for :meth:`GroundTruth.of`; every ``stride``-th frame is scored. The frames are read once.

@@ -41,8 +41,7 @@ def known_performance(sensor: SyntheticSensor, frames: int, neutral_frames: int 
 
     What a coefficient does on this face is the performer's own affair: personal motion and folds follow as always.
     """
-    known = SyntheticSensor(sensor.seed, sensor.noise, neutral_frames, frames, 1, colour=False,
-                            performer=sensor.performer)  # fmt: skip
+    known = SyntheticSensor(sensor.seed, sensor.noise, neutral_frames, frames, 1, colour=False, performer=sensor.performer)
     model = sensor.performer.model
     table = arkit_weights(model.generic_names, model)
     curves = np.zeros((frames, len(ARKIT_NAMES)))
@@ -57,8 +56,10 @@ def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, act
     part = slice(sensor.neutral_frames, None)
     names = tuple(result.expression_names)
     plain = SparseResolve.as_tracked(actor, names, replace(blendshape_parameters(result), sparsity=0.0))
-    heads = (transform_points(np.linalg.inv(rigid.astype(float)), v4.astype(float))
-             for rigid, v4 in zip(result.rigid[part], result.vertices[part], strict=True))  # fmt: skip
+    heads = (
+        transform_points(np.linalg.inv(rigid.astype(float)), v4.astype(float))
+        for rigid, v4 in zip(result.rigid[part], result.vertices[part], strict=True)
+    )
     found = {
         INITIAL: result.coefficients_initial[part].astype(float),
         PLAIN: np.stack([plain(v4, x) for v4, x in zip(heads, result.coefficients[part], strict=True)]),

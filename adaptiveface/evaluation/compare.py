@@ -73,9 +73,7 @@ def score_result(result: Result, truth: GroundTruth, actor: Actor, step: int = 1
     return collector.finish()
 
 
-def score_other(
-    path: str | os.PathLike, truth: GroundTruth, model: FaceModel | None = None, step: int = 1
-) -> dict[str, float]:
+def score_other(path: str | os.PathLike, truth: GroundTruth, model: FaceModel | None = None, step: int = 1) -> dict[str, float]:
     """Errors of another tracker's meshes or landmarks, mm; the module's docstring describes the file.
 
     Parameters

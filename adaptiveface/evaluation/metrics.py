@@ -130,9 +130,7 @@ def active_share(error: np.ndarray, motion: np.ndarray, threshold: float = ACTIV
     return float(error[active].sum() / motion[active].sum()) if active.any() else float("nan")
 
 
-def pose_error(
-    rigid: np.ndarray, true_rigid: np.ndarray, alignment: np.ndarray, centre: np.ndarray
-) -> tuple[float, float]:
+def pose_error(rigid: np.ndarray, true_rigid: np.ndarray, alignment: np.ndarray, centre: np.ndarray) -> tuple[float, float]:
     """Error of a head pose (4, 4): millimetres at the point ``centre`` (3,) of the true head frame, and degrees.
 
     ``alignment`` (4, 4) takes the tracker's head frame to the true one (:func:`neutral_alignment`).

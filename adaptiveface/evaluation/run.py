@@ -95,7 +95,10 @@ class Evaluation:
         median, p95 = self.surface_percentiles(stage, performance)
         normal, tangential = self.parts(stage, performance)
         out = dict(
-            surface_median=median, surface_p95=p95, active_share=self.active_share(stage, performance), normal=normal,
+            surface_median=median,
+            surface_p95=p95,
+            active_share=self.active_share(stage, performance),
+            normal=normal,
             tangential=tangential,
         )
         for region in self.regions:
@@ -160,9 +163,13 @@ class ErrorCollector:
         self._lost[performance] = self._lost.get(performance, 0) + 1
 
     def score(
-        self, index: int, rigid: np.ndarray, meshes: dict[str, np.ndarray], anchor: float = np.nan,
+        self,
+        index: int,
+        rigid: np.ndarray,
+        meshes: dict[str, np.ndarray],
+        anchor: float = np.nan,
         adaptive: float = np.nan,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Score one frame: ``rigid`` (4, 4) head to camera, ``meshes`` stage -> (N, 3) in the camera frame, mm."""
         truth = self.truth[index]
         surface = metrics.TrueSurface(truth.vertices, self.actor.triangles)
@@ -177,10 +184,19 @@ class ErrorCollector:
             parts.append(metrics.split_by_normal(error[self.frontal], normals))
         normal, tangential = zip(*parts, strict=True)
         pose = metrics.pose_error(rigid, truth.rigid, self.alignment, self.centre)
-        self._rows.append((
-            index, truth.performance, np.float32(distances), np.float32(normal), np.float32(tangential),
-            np.float32(np.linalg.norm(motion, axis=1)), *pose, anchor, adaptive,
-        ))  # fmt: skip
+        self._rows.append(
+            (
+                index,
+                truth.performance,
+                np.float32(distances),
+                np.float32(normal),
+                np.float32(tangential),
+                np.float32(np.linalg.norm(motion, axis=1)),
+                *pose,
+                anchor,
+                adaptive,
+            )
+        )
 
     def finish(self) -> Evaluation:
         """The errors of all frames so far. Raises :class:`AdaptiveFaceError` when none was tracked."""
@@ -190,9 +206,17 @@ class ErrorCollector:
         index, performance, distances, normal, tangential, motion, *curves = columns
         per_stage = [np.stack(column, axis=1) for column in (distances, normal, tangential)]
         return Evaluation(
-            self.stages, np.array(index), np.array(performance), dict(self._lost), *per_stage, np.stack(motion),
-            *(np.array(curve, float) for curve in curves), self.scored, self.frontal, actor_regions(self.actor),
-        )  # fmt: skip
+            self.stages,
+            np.array(index),
+            np.array(performance),
+            dict(self._lost),
+            *per_stage,
+            np.stack(motion),
+            *(np.array(curve, float) for curve in curves),
+            self.scored,
+            self.frontal,
+            actor_regions(self.actor),
+        )
 
 
 def evaluate_run(frames: Iterable[TrackedFrame], truth, actor: Actor, stages: tuple[str, ...] = STAGES) -> Evaluation:

@@ -132,21 +132,21 @@ MISTAKES = (
     Mistake("the sign of g is wrong: the energy is x^T h x / 2 - g^T x, its slope h x - g", _wrong_sign),
     Mistake("the unbounded solution: the bounds do not enter at all", lambda h, g, lower, upper: np.linalg.solve(h, g)),
     Mistake("0 and 1 are used as the bounds, whatever lower and upper say", _zero_to_one),
-    Mistake(
-        "the upper bound is only clipped at the end; it must hold while the others are solved", _one_bound("lower")
-    ),
-    Mistake(
-        "the lower bound is only clipped at the end; it must hold while the others are solved", _one_bound("upper")
-    ),
+    Mistake("the upper bound is only clipped at the end; it must hold while the others are solved", _one_bound("lower")),
+    Mistake("the lower bound is only clipped at the end; it must hold while the others are solved", _one_bound("upper")),
     Mistake(
         "a coefficient that was set to a bound is never released again: check the slope's sign at the bounds",
         _never_released,
     ),
     Mistake("only the diagonal of h enters: the coefficients interact", _diagonal),
-    Mistake("the half is missing: the slope of x^T h x / 2 is h x, not 2 h x", lambda h, g, lower, upper: truth(
-        2 * h, g, lower, upper)),
-    Mistake("something was added to the diagonal of h: the ridge is in h already", lambda h, g, lower, upper: truth(
-        h + np.diag(np.diag(h)), g, lower, upper)),
+    Mistake(
+        "the half is missing: the slope of x^T h x / 2 is h x, not 2 h x",
+        lambda h, g, lower, upper: truth(2 * h, g, lower, upper),
+    ),
+    Mistake(
+        "something was added to the diagonal of h: the ridge is in h already",
+        lambda h, g, lower, upper: truth(h + np.diag(np.diag(h)), g, lower, upper),
+    ),
 )
 HINTS = (
     "Hold all coefficients but one. Where is the minimum over that one, and where is its best allowed value?",
@@ -156,6 +156,17 @@ HINTS = (
 )
 
 BOUNDED_LEAST_SQUARES = Exercise(
-    "bounded_least_squares", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES, hints=HINTS,
-    iterative=True, notebook="04_blendshape_fit",
-)  # fmt: skip
+    "bounded_least_squares",
+    TASK,
+    random_cases,
+    truth,
+    parse,
+    near,
+    faults,
+    describe,
+    swap,
+    MISTAKES,
+    hints=HINTS,
+    iterative=True,
+    notebook="04_blendshape_fit",
+)

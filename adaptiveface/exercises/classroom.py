@@ -168,9 +168,16 @@ def write_marks(folder: Path, marks: Sequence[Mark]) -> list[Path]:
     written = [table, tree]
     for student in dict.fromkeys(mark.student for mark in marks):
         tests = [
-            {"name": m.exercise, "score": m.points, "max_score": 1, "status": "passed" if m.points else "failed",
-             "output": m.remark} for m in marks if m.student == student
-        ]  # fmt: skip
+            {
+                "name": m.exercise,
+                "score": m.points,
+                "max_score": 1,
+                "status": "passed" if m.points else "failed",
+                "output": m.remark,
+            }
+            for m in marks
+            if m.student == student
+        ]
         with replacing(folder / "gradescope" / f"{student}.json") as temporary:
             content = {"score": sum(test["score"] for test in tests), "tests": tests}
             temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")

@@ -138,9 +138,11 @@ MISTAKES = (
     Mistake("the rows are divided by their diagonal: then L is not symmetric any more", _normalised),
     Mistake("negative weights of edges were set to 0: obtuse pairs of triangles have them", _clipped),
     Mistake("negative cotangents were set to 0 one by one: an obtuse angle has a negative one", _clipped_first),
-    Mistake("inverse lengths of the edges are the weights", _by(lambda u, v, edge: 1 / np.linalg.norm(edge, axis=1), half=1.0,
-                                                               add=False)),
-)  # fmt: skip
+    Mistake(
+        "inverse lengths of the edges are the weights",
+        _by(lambda u, v, edge: 1 / np.linalg.norm(edge, axis=1), half=1.0, add=False),
+    ),
+)
 HINTS = (
     "Work triangle by triangle. Each of its three angles lies opposite one of its edges.",
     "For each corner o with the edge ij opposite: add half the cotangent of its angle to the weight of ij, then fill L_ij, "
@@ -149,6 +151,14 @@ HINTS = (
 )
 
 COTANGENT_MATRIX = Exercise(
-    "cotangent_matrix", TASK, random_cases, truth, parse, close, faults, mistakes=MISTAKES, hints=HINTS,
+    "cotangent_matrix",
+    TASK,
+    random_cases,
+    truth,
+    parse,
+    close,
+    faults,
+    mistakes=MISTAKES,
+    hints=HINTS,
     notebook="05_laplacian_deformation",
-)  # fmt: skip
+)

@@ -52,9 +52,7 @@ def faults(answer, case: Case) -> list[str]:
             "a QR factorisation"
         ]
     if np.abs(gram - np.eye(len(gram))).max() > 1e-6:
-        return [
-            "M is not orthonormal: its columns have length 1 but are not at right angles; end with a QR factorisation"
-        ]
+        return ["M is not orthonormal: its columns have length 1 but are not at right angles; end with a QR factorisation"]
     return []
 
 
@@ -163,8 +161,10 @@ MISTAKES = (
         "two steps instead of one: the coefficients are those of the first, M has moved on",
         _with(m_step=lambda m, s, y: truth(truth(m, s)[1], s)[1]),
     ),
-    Mistake("Y is divided by the number of samples: a projection has no mean in it", _with(
-        e_step=lambda m, s: adaptive_pca.e_step(m, s) / s.shape[1])),
+    Mistake(
+        "Y is divided by the number of samples: a projection has no mean in it",
+        _with(e_step=lambda m, s: adaptive_pca.e_step(m, s) / s.shape[1]),
+    ),
 )
 HINTS = (
     "Two least-squares problems in turn: the best coefficients for the shapes, then the best shapes for the coefficients.",
@@ -176,6 +176,17 @@ HINTS = (
 # Few shapes, so that the short performance has more samples than shapes: before that, EM only turns the basis.
 _FEW_SHAPES = Parameters().set(adaptive_pca__K=2)
 EM_STEP = Exercise(
-    "em_step", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES, _FEW_SHAPES, HINTS,
+    "em_step",
+    TASK,
+    random_cases,
+    truth,
+    parse,
+    near,
+    faults,
+    describe,
+    swap,
+    MISTAKES,
+    _FEW_SHAPES,
+    HINTS,
     notebook="06_incremental_pca",
-)  # fmt: skip
+)

@@ -56,8 +56,10 @@ class Grade:
     def __str__(self) -> str:
         if self.passed:
             return f"{self.exercise}: right on all {self.cases} random cases."
-        findings = (textwrap.fill(finding, LINE, initial_indent="  - ", subsequent_indent="    ",
-                                  break_long_words=False) for finding in self.findings)  # fmt: skip
+        findings = (
+            textwrap.fill(finding, LINE, initial_indent="  - ", subsequent_indent="    ", break_long_words=False)
+            for finding in self.findings
+        )
         return "\n".join([f"{self.exercise}: not yet.", *findings])
 
     __repr__ = __str__
@@ -123,9 +125,7 @@ class Exercise:
             try:
                 answers.append(self._answer(function, case))
             except _NotStarted:
-                return Grade(
-                    self.name, (f"nothing was returned: write the function's body. {self.task}",), len(cases), False
-                )
+                return Grade(self.name, (f"nothing was returned: write the function's body. {self.task}",), len(cases), False)
             except Wrong as wrong:
                 text = str(wrong)
                 if self.iterative and "NaN or infinite" in text:

@@ -21,8 +21,14 @@ def random_cases(seed: int = 12, count: int = 6) -> list[Case]:
     for _ in range(count):
         k = int(rng.integers(4, 20))
         m = int(rng.integers(k // 2, 6 * k))
-        cases.append(dict(jacobian=rng.normal(size=(m, k)), distances=rng.normal(size=m), identity=rng.normal(size=k),
-                          sigma=float(rng.choice([0.4, 0.7, 1.6, 2.5]))))  # fmt: skip
+        cases.append(
+            dict(
+                jacobian=rng.normal(size=(m, k)),
+                distances=rng.normal(size=m),
+                identity=rng.normal(size=k),
+                sigma=float(rng.choice([0.4, 0.7, 1.6, 2.5])),
+            )
+        )
     return cases
 
 
@@ -63,11 +69,14 @@ MISTAKES = (
     Mistake("the new coefficients came back: the change is asked for", _by(whole=True)),
     Mistake("both halves have the wrong sign: the step goes uphill", lambda **c: -identity_step(**c)),
     Mistake("the prior is divided by the data's variance a second time", _scaled_prior),
-    Mistake("only the diagonal of the matrix enters: the modes are not independent on a scan", lambda **c: (
-        -(c["jacobian"].T @ c["distances"] / c["sigma"] ** 2 + c["identity"])
-        / ((c["jacobian"] ** 2).sum(axis=0) / c["sigma"] ** 2 + 1.0)
-    )),
-)  # fmt: skip
+    Mistake(
+        "only the diagonal of the matrix enters: the modes are not independent on a scan",
+        lambda **c: (
+            -(c["jacobian"].T @ c["distances"] / c["sigma"] ** 2 + c["identity"])
+            / ((c["jacobian"] ** 2).sum(axis=0) / c["sigma"] ** 2 + 1.0)
+        ),
+    ),
+)
 HINTS = (
     "Both terms are squares that are linear in the change. What is the derivative of each?",
     "Set the derivative of the sum to zero. The prior speaks about identity + change, so it adds to the matrix and to the "
@@ -76,6 +85,13 @@ HINTS = (
 )
 
 IDENTITY_STEP = Exercise(
-    "identity_step", TASK, random_cases, identity_step, parse, close, mistakes=MISTAKES, hints=HINTS,
+    "identity_step",
+    TASK,
+    random_cases,
+    identity_step,
+    parse,
+    close,
+    mistakes=MISTAKES,
+    hints=HINTS,
     notebook="01_neutral_scan",
-)  # fmt: skip
+)

@@ -22,16 +22,35 @@ def random_cases(seed: int = 14, count: int = 6) -> list[Case]:
     rng, cases = np.random.default_rng(seed), []
     for _ in range(count):
         a, root = int(rng.integers(3, 24)), rng.normal(size=(2, 2))
-        cases.append(dict(state=rng.normal(size=(2, a)), covariance=root @ root.T + 0.1 * np.eye(2),
-                          measured=rng.normal(size=a), process_noise=float(rng.uniform(0.02, 0.2)),
-                          measurement_noise=float(rng.uniform(0.3, 0.9))))  # fmt: skip
+        cases.append(
+            dict(
+                state=rng.normal(size=(2, a)),
+                covariance=root @ root.T + 0.1 * np.eye(2),
+                measured=rng.normal(size=a),
+                process_noise=float(rng.uniform(0.02, 0.2)),
+                measurement_noise=float(rng.uniform(0.3, 0.9)),
+            )
+        )
     return cases
 
 
 def kalman_step(
-    state, covariance, measured, process_noise, measurement_noise, move=True, spread=True, noise=True, transpose=False,
-    square=False, innovate=1.0, stale=False, update=True, blind=False, measured_only=False,
-):  # fmt: skip
+    state,
+    covariance,
+    measured,
+    process_noise,
+    measurement_noise,
+    move=True,
+    spread=True,
+    noise=True,
+    transpose=False,
+    square=False,
+    innovate=1.0,
+    stale=False,
+    update=True,
+    blind=False,
+    measured_only=False,
+):
     """The package's answer, and by its switches what goes wrong."""
     f = np.array([[1.0, 1.0], [0.0, 1.0]])
     f = f.T if transpose else f
@@ -58,9 +77,12 @@ def swap(function):
             self._state = np.stack([measured, np.zeros_like(measured)])
             return measured
         self._state, self._covariance = function(
-            state=self._state, covariance=self._covariance, measured=measured, process_noise=float(self._q[0, 0]),
+            state=self._state,
+            covariance=self._covariance,
+            measured=measured,
+            process_noise=float(self._q[0, 0]),
             measurement_noise=self._r,
-        )  # fmt: skip
+        )
         return self._state[0]
 
     return replaced(CoefficientFilter, "update", update)
@@ -85,11 +107,14 @@ MISTAKES = (
     Mistake("the sign of the correction is wrong: it goes away from the measurement", _by(innovate=-1.0)),
     Mistake("the measurement is compared with the old state instead of the predicted one", _by(stale=True)),
     Mistake("the covariance is not corrected: after a measurement the filter knows more", _by(update=False)),
-    Mistake("only the coefficient is corrected: the measurement says something about the velocity too", _by(
-        measured_only=True)),
-    Mistake("the measurement came back as the coefficients: the gain is below 1", lambda **c: (
-        np.stack([c["measured"], kalman_step(**c)[0][1]]), kalman_step(**c)[1])),
-)  # fmt: skip
+    Mistake(
+        "only the coefficient is corrected: the measurement says something about the velocity too", _by(measured_only=True)
+    ),
+    Mistake(
+        "the measurement came back as the coefficients: the gain is below 1",
+        lambda **c: (np.stack([c["measured"], kalman_step(**c)[0][1]]), kalman_step(**c)[1]),
+    ),
+)
 HINTS = (
     "A Kalman filter has two halves. The first needs no measurement.",
     "Predict state and covariance with the transition and add the process noise. Then weigh prediction against measurement "
@@ -98,6 +123,14 @@ HINTS = (
 )
 
 KALMAN_STEP = Exercise(
-    "kalman_step", TASK, random_cases, kalman_step, parse, close, swap=swap, mistakes=MISTAKES, hints=HINTS,
+    "kalman_step",
+    TASK,
+    random_cases,
+    kalman_step,
+    parse,
+    close,
+    swap=swap,
+    mistakes=MISTAKES,
+    hints=HINTS,
     notebook="04_blendshape_fit",
-)  # fmt: skip
+)

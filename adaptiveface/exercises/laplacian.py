@@ -151,9 +151,7 @@ def swap(function):
     def right_hand_side(self, matches, normals, term):
         """As the method's, by the learner's function."""
         features = FeaturePull(self.corners[term.index], self.shares[term.index], term.rows, term.targets, term.weights)
-        answer = function(
-            distances=matches.distances, normals=normals, weights=matches.weights, w1=self.w1, features=features
-        )
+        answer = function(distances=matches.distances, normals=normals, weights=matches.weights, w1=self.w1, features=features)
         return as_array(answer, normals.shape, "b")
 
     return replaced(LaplacianDeformation, "right_hand_side", right_hand_side)
@@ -236,6 +234,16 @@ HINTS = (
 )
 
 RIGHT_HAND_SIDE = Exercise(
-    "right_hand_side", TASK, random_cases, truth, parse, near, lambda answer, case: [], describe, swap, MISTAKES,
-    hints=HINTS, notebook="05_laplacian_deformation",
-)  # fmt: skip
+    "right_hand_side",
+    TASK,
+    random_cases,
+    truth,
+    parse,
+    near,
+    lambda answer, case: [],
+    describe,
+    swap,
+    MISTAKES,
+    hints=HINTS,
+    notebook="05_laplacian_deformation",
+)

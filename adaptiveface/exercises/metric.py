@@ -56,27 +56,40 @@ def _per_frame(error, motion, tracked, true, threshold):
 
 
 MISTAKES = (
-    Mistake("all pairs count: resting skin hides how badly the moving skin is followed", _measure(
-        lambda e, m, t, g, h: _over(m >= 0, e, m))),
-    Mistake("the pairs are chosen by the tracked motion: a face that never moves would have none", _measure(
-        lambda e, m, t, g, h: _over(lengths(t) > h, e, m))),
+    Mistake(
+        "all pairs count: resting skin hides how badly the moving skin is followed",
+        _measure(lambda e, m, t, g, h: _over(m >= 0, e, m)),
+    ),
+    Mistake(
+        "the pairs are chosen by the tracked motion: a face that never moves would have none",
+        _measure(lambda e, m, t, g, h: _over(lengths(t) > h, e, m)),
+    ),
     Mistake("the pairs are chosen by the error", _measure(lambda e, m, t, g, h: _over(e > h, e, m))),
     Mistake("the pairs that rest were chosen instead of those that move", _measure(lambda e, m, t, g, h: _over(m <= h, e, m))),
-    Mistake("the mean of the shares of single pairs is taken: pairs that hardly move decide it", _measure(
-        lambda e, m, t, g, h: np.array(np.mean(e[m > h] / m[m > h])))),
-    Mistake("the mean of the shares of frames is taken: a frame in which little moves counts as much as a laugh", _measure(
-        _per_frame)),
+    Mistake(
+        "the mean of the shares of single pairs is taken: pairs that hardly move decide it",
+        _measure(lambda e, m, t, g, h: np.array(np.mean(e[m > h] / m[m > h]))),
+    ),
+    Mistake(
+        "the mean of the shares of frames is taken: a frame in which little moves counts as much as a laugh",
+        _measure(_per_frame),
+    ),
     Mistake("lengths were squared before they were added", _measure(lambda e, m, t, g, h: _over(m > h, e**2, m**2))),
-    Mistake("the difference of lengths is the error: motion in the wrong direction would count as right", _measure(
-        lambda e, m, t, g, h: _over(m > h, np.abs(lengths(t) - m), m))),
+    Mistake(
+        "the difference of lengths is the error: motion in the wrong direction would count as right",
+        _measure(lambda e, m, t, g, h: _over(m > h, np.abs(lengths(t) - m), m)),
+    ),
     Mistake("the error is divided by the tracked motion", _measure(lambda e, m, t, g, h: _over(m > h, e, lengths(t)))),
     Mistake("the mean error in mm came back: divide by the motion", _measure(lambda e, m, t, g, h: np.array(e[m > h].mean()))),
-    Mistake("the error is divided by the motion of all pairs", _measure(
-        lambda e, m, t, g, h: np.array(e[m > h].sum() / m.sum()))),
+    Mistake(
+        "the error is divided by the motion of all pairs", _measure(lambda e, m, t, g, h: np.array(e[m > h].sum() / m.sum()))
+    ),
     Mistake("how much is followed came back: 1 minus the share", lambda **c: 1.0 - truth(**c)),
-    Mistake("the errors of x, y and z are added as absolute values instead of as lengths", _measure(
-        lambda e, m, t, g, h: np.array(np.abs(t - g).sum(axis=2)[m > h].sum() / m[m > h].sum()))),
-)  # fmt: skip
+    Mistake(
+        "the errors of x, y and z are added as absolute values instead of as lengths",
+        _measure(lambda e, m, t, g, h: np.array(np.abs(t - g).sum(axis=2)[m > h].sum() / m[m > h].sum())),
+    ),
+)
 HINTS = (
     "Which pairs of frame and vertex say something about following a motion? Choose them by the truth alone.",
     "Take lengths of error and of true motion over the chosen pairs, add each up, and divide once at the end.",

@@ -38,9 +38,7 @@ def random_cases(seed: int = 3, count: int = 6) -> list[Case]:
         weights = np.where(outlier, 0.0, np.exp(rng.normal(size=n)))
         weights[rng.random(n) < 0.05] = 0.0
         along += np.where(weights < np.median(weights), 0.5, 0.0)  # the lightly weighted half is biased
-        cases.append(
-            dict(points=points, targets=moved + slide + along[:, None] * normals, normals=normals, weights=weights)
-        )
+        cases.append(dict(points=points, targets=moved + slide + along[:, None] * normals, normals=normals, weights=weights))
     return cases
 
 
@@ -205,8 +203,10 @@ MISTAKES = (
     Mistake("the rotation is missing: only a translation was solved", _translation_only),
     Mistake(_POINT_TO_POINT, _point_to_point(True)),
     Mistake(_POINT_TO_POINT + "; and the weights are missing", _point_to_point(False)),
-    Mistake("the translation is missing: only a rotation came back", lambda **case: about(
-        case["points"].mean(axis=0), truth(**case)[0], np.zeros(3))),
+    Mistake(
+        "the translation is missing: only a rotation came back",
+        lambda **case: about(case["points"].mean(axis=0), truth(**case)[0], np.zeros(3)),
+    ),
 )
 HINTS = (
     "A small rotation moves a point p by r x p, which is linear in r. Which six numbers are unknown?",
@@ -217,6 +217,16 @@ HINTS = (
 )
 
 POINT_TO_PLANE_STEP = Exercise(
-    "point_to_plane_step", TASK, random_cases, truth, parse, near, faults, describe, swap, MISTAKES, hints=HINTS,
+    "point_to_plane_step",
+    TASK,
+    random_cases,
+    truth,
+    parse,
+    near,
+    faults,
+    describe,
+    swap,
+    MISTAKES,
+    hints=HINTS,
     notebook="03_rigid_tracking",
-)  # fmt: skip
+)

@@ -27,9 +27,19 @@ def random_cases(seed: int = 17, count: int = 9) -> list[Case]:
 
 
 def project(
-    displacement, anchors, correctives, low, high, unit=100.0, spaces="both", left="anchors", root=False, lower=True,
-    upper=True, mean=False,
-):  # fmt: skip
+    displacement,
+    anchors,
+    correctives,
+    low,
+    high,
+    unit=100.0,
+    spaces="both",
+    left="anchors",
+    root=False,
+    lower=True,
+    upper=True,
+    mean=False,
+):
     """The package's answer, and by its switches what goes wrong."""
     in_anchors = anchors @ (anchors.T @ displacement)
     in_correctives = correctives @ (correctives.T @ displacement)

@@ -81,23 +81,29 @@ def _correlated(basis, displacement, weights):
 
 
 MISTAKES = (
-    Mistake("the sparsity does not enter: motion that no expression holds is spread over many small coefficients", _by(
-        lambda w: 0 * w)),
+    Mistake(
+        "the sparsity does not enter: motion that no expression holds is spread over many small coefficients",
+        _by(lambda w: 0 * w),
+    ),
     Mistake("the sign of the sparsity is wrong: it rewards coefficients", _by(np.negative)),
-    Mistake("the sparsity counts twice: the energy has half the square, so its slope is B^T (B x - d) + w", _by(
-        lambda w: 2 * w)),
+    Mistake(
+        "the sparsity counts twice: the energy has half the square, so its slope is B^T (B x - d) + w", _by(lambda w: 2 * w)
+    ),
     Mistake("the sparsity counts half: the square carries the factor one half, the weights do not", _by(lambda w: 0.5 * w)),
     Mistake("the weights are squared", _by(np.square)),
-    Mistake("every expression has the mean weight: large expressions must explain more", _by(
-        lambda w: np.full(len(w), w.mean()))),
+    Mistake(
+        "every expression has the mean weight: large expressions must explain more", _by(lambda w: np.full(len(w), w.mean()))
+    ),
     Mistake("the plain fit was lowered afterwards: once one coefficient falls, the others must make up for it", _thresholded),
     Mistake("small coefficients of the plain fit were set to 0: that is a threshold, not this minimum", _small_dropped),
     Mistake("the weights punish the squares: a ridge makes all coefficients smaller and none zero", _ridge),
     Mistake("the unbounded solution was clipped: once a coefficient stops at 0, the others must make up for it", _clipped),
     Mistake("each coefficient was fitted alone: the expressions overlap", _correlated),
-    Mistake("the upper bound is only clipped at the end; it must hold while the others are solved", lambda **c: (
-        np.clip(solve(**c, upper=np.inf), 0, 1))),
-)  # fmt: skip
+    Mistake(
+        "the upper bound is only clipped at the end; it must hold while the others are solved",
+        lambda **c: np.clip(solve(**c, upper=np.inf), 0, 1),
+    ),
+)
 HINTS = (
     "For coefficients that are not negative, the sum of weights times coefficients is linear. What does that do to the slope?",
     "The weights only shift the right-hand side of the normal equations. What remains is the bounded problem of notebook 04.",
@@ -105,6 +111,15 @@ HINTS = (
 )
 
 RESOLVE = Exercise(
-    "resolve", TASK, random_cases, solve, parse, near, faults, mistakes=MISTAKES, hints=HINTS, iterative=True,
+    "resolve",
+    TASK,
+    random_cases,
+    solve,
+    parse,
+    near,
+    faults,
+    mistakes=MISTAKES,
+    hints=HINTS,
+    iterative=True,
     notebook="09_retargeting",
-)  # fmt: skip
+)

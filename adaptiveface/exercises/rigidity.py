@@ -55,14 +55,20 @@ MISTAKES = (
     Mistake("the terms are not squared: absolute values have no slope at the minimum", _by(square=False)),
     Mistake("the lengths enter instead of their squares: 1 - a.a is a polynomial, 1 - |a| needs a root", _by(root=True)),
     Mistake("the 1 is missing: the energy asks for columns of length 0", _by(unit=0.0)),
-    Mistake("the distance to the identity is taken: a turned node would be punished", lambda maps: (
-        ((maps - np.eye(3)) ** 2).sum(axis=(1, 2)))),
-    Mistake("the determinant is compared with 1: a map may stretch one way, shrink another, and keep it", lambda maps: (
-        (1 - np.linalg.det(maps)) ** 2)),
+    Mistake(
+        "the distance to the identity is taken: a turned node would be punished",
+        lambda maps: ((maps - np.eye(3)) ** 2).sum(axis=(1, 2)),
+    ),
+    Mistake(
+        "the determinant is compared with 1: a map may stretch one way, shrink another, and keep it",
+        lambda maps: (1 - np.linalg.det(maps)) ** 2,
+    ),
     Mistake("the distance to the nearest rotation is taken: near it, but not this energy", _to_polar),
-    Mistake("the energies of all nodes are added up: one value per node is asked for", lambda maps: np.full(
-        len(maps), rigidity(maps).sum())),
-)  # fmt: skip
+    Mistake(
+        "the energies of all nodes are added up: one value per node is asked for",
+        lambda maps: np.full(len(maps), rigidity(maps).sum()),
+    ),
+)
 HINTS = (
     "What do the columns of a rotation look like? Their lengths and the angles between them say it all.",
     "A^T A holds the scalar products of the columns. Use each pair once, and the difference from 1 of each length squared.",

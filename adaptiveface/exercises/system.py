@@ -21,8 +21,14 @@ def random_cases(seed: int = 16, count: int = 6) -> list[Case]:
         n = int(rng.integers(8, 30))
         weights = rng.uniform(0.2, 1.5, (n, n)) * (rng.random((n, n)) < 0.4)
         laplacian = np.diag(weights.sum(axis=1) + 0.3) - weights
-        cases.append(dict(laplacian=laplacian, w1=float(rng.uniform(0.05, 0.4)), w2=float(rng.uniform(1.5, 6.0)),
-                          targets=rng.normal(size=(n, 3))))  # fmt: skip
+        cases.append(
+            dict(
+                laplacian=laplacian,
+                w1=float(rng.uniform(0.05, 0.4)),
+                w2=float(rng.uniform(1.5, 6.0)),
+                targets=rng.normal(size=(n, 3)),
+            )
+        )
     return cases
 
 
@@ -48,20 +54,23 @@ MISTAKES = (
     Mistake("L L^T instead of L^T L: they differ where L is not symmetric", _by(smooth=lambda m, w: w * m @ m.T)),
     Mistake("L L instead of L^T L: they differ where L is not symmetric", _by(smooth=lambda m, w: w * m @ m)),
     Mistake("w2 enters squared: it is an energy weight", _by(smooth=lambda m, w: w**2 * m.T @ m)),
-    Mistake("the square root of w2 enters: that is right for rows, in L^T L it is w2 itself", _by(
-        smooth=lambda m, w: w**0.5 * m.T @ m)),
+    Mistake(
+        "the square root of w2 enters: that is right for rows, in L^T L it is w2 itself",
+        _by(smooth=lambda m, w: w**0.5 * m.T @ m),
+    ),
     Mistake("w2 does not enter", _by(smooth=lambda m, w: m.T @ m)),
     Mistake("w1 enters squared: it is an energy weight", _by(data=np.square)),
     Mistake("the square root of w1 enters: that is right for rows, in the normal equations it is w1 itself", _by(data=np.sqrt)),
     Mistake("w1 does not enter", _by(data=lambda w: 1.0)),
-    Mistake("w1 is missing on the right-hand side: both sides come from the same derivative", _by(
-        right=lambda m, w, t: t)),
+    Mistake("w1 is missing on the right-hand side: both sides come from the same derivative", _by(right=lambda m, w, t: t)),
     Mistake("w1 and w2 are exchanged", lambda laplacian, w1, w2, targets: solve_deformation(laplacian, w2, w1, targets)),
     Mistake("the sign of the right-hand side is wrong", lambda **c: -solve_deformation(**c)),
     Mistake("the targets themselves came back: nothing was smoothed", lambda **c: c["targets"]),
-    Mistake("the targets are smoothed by the matrix instead of by its inverse", lambda laplacian, w1, w2, targets: (
-        (w1 * np.eye(len(targets)) + w2 * laplacian.T @ laplacian) @ targets)),
-)  # fmt: skip
+    Mistake(
+        "the targets are smoothed by the matrix instead of by its inverse",
+        lambda laplacian, w1, w2, targets: (w1 * np.eye(len(targets)) + w2 * laplacian.T @ laplacian) @ targets,
+    ),
+)
 HINTS = (
     "Both terms are squares that are linear in d, so that the minimum is the solution of a linear system.",
     "Set half the derivative to zero and sort: what multiplies d is a constant symmetric matrix, the rest is the right-hand "
@@ -70,6 +79,13 @@ HINTS = (
 )
 
 SOLVE_DEFORMATION = Exercise(
-    "solve_deformation", TASK, random_cases, solve_deformation, parse, close, mistakes=MISTAKES, hints=HINTS,
+    "solve_deformation",
+    TASK,
+    random_cases,
+    solve_deformation,
+    parse,
+    close,
+    mistakes=MISTAKES,
+    hints=HINTS,
     notebook="05_laplacian_deformation",
-)  # fmt: skip
+)

@@ -66,9 +66,7 @@ MISTAKES = (
         "the frame is not inverted but transposed: its columns are not orthonormal",
         lambda neutral, deformed: frames(deformed) @ frames(neutral).transpose(0, 2, 1),
     ),
-    Mistake(
-        "the normal has length 1: divided by the root of its length it scales as the triangle does", _of(power=1.0)
-    ),
+    Mistake("the normal has length 1: divided by the root of its length it scales as the triangle does", _of(power=1.0)),
     Mistake("the normal is not divided at all: it grows with the area, not with the length", _of(power=0.0)),
     Mistake("the corners themselves are used: only edges do not depend on where the triangle is", _of(edges=False)),
     Mistake(
@@ -94,6 +92,13 @@ HINTS = (
 )
 
 DEFORMATION_GRADIENT = Exercise(
-    "deformation_gradient", TASK, random_cases, truth, parse, close, mistakes=MISTAKES, hints=HINTS,
+    "deformation_gradient",
+    TASK,
+    random_cases,
+    truth,
+    parse,
+    close,
+    mistakes=MISTAKES,
+    hints=HINTS,
     notebook="02_blendshapes",
-)  # fmt: skip
+)

@@ -50,9 +50,7 @@ class Trial:
             return f"In the tracker it failed: {self.failure}"
         lines = [f"The tracker with it: {self.tracked} of {self.frames} frames tracked."]
         if not np.isnan(self.error):
-            lines.append(
-                f"Mean distance to the truth: {self.error:.2f} mm (the package's own: {self.package_error:.2f} mm)."
-            )
+            lines.append(f"Mean distance to the truth: {self.error:.2f} mm (the package's own: {self.package_error:.2f} mm).")
         lines.append(f"Largest difference to the package's run: {self.difference:.3f} mm.")
         lines.append(f"Time: {self.ms:.0f} ms a frame (the package's own: {self.package_ms:.0f} ms).")
         return "\n".join(lines)
@@ -149,11 +147,7 @@ def _run(in_place, images, actor: Actor, parameters) -> tuple[list, float]:
 def _error(results: list, performance: BuiltInPerformance, region: np.ndarray) -> float:
     return float(
         np.mean(
-            [
-                np.linalg.norm(r.vertices - performance.truth(r.index), axis=1)[region].mean()
-                for r in results
-                if r.tracked
-            ]
+            [np.linalg.norm(r.vertices - performance.truth(r.index), axis=1)[region].mean() for r in results if r.tracked]
             or [np.nan]
         )
     )

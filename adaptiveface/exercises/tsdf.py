@@ -23,15 +23,37 @@ def random_cases(seed: int = 11, count: int = 6) -> list[Case]:
         weight = np.where(rng.random(n) < 0.3, 0.0, rng.uniform(0.2, 8.0, n))
         distance = np.where(weight > 0, rng.uniform(-1, 1, n), 1.0)
         measured, cosine = rng.uniform(-3, 3, n) * truncation, rng.uniform(0.0, 1.0, n)
-        cases.append(dict(distance=distance, weight=weight, measured=measured, cosine=cosine, truncation=truncation,
-                          min_cosine=float(rng.uniform(0.15, 0.4))))  # fmt: skip
+        cases.append(
+            dict(
+                distance=distance,
+                weight=weight,
+                measured=measured,
+                cosine=cosine,
+                truncation=truncation,
+                min_cosine=float(rng.uniform(0.15, 0.4)),
+            )
+        )
     return cases
 
 
 def integrate(
-    distance, weight, measured, cosine, truncation, min_cosine, scale=True, top=True, skip=True, bottom=False, sign=1.0,
-    angle=True, own=None, keep_mean=True, forget=False, add=True,
-):  # fmt: skip
+    distance,
+    weight,
+    measured,
+    cosine,
+    truncation,
+    min_cosine,
+    scale=True,
+    top=True,
+    skip=True,
+    bottom=False,
+    sign=1.0,
+    angle=True,
+    own=None,
+    keep_mean=True,
+    forget=False,
+    add=True,
+):
     """The package's answer, and by its switches what goes wrong."""
     d = sign * measured / (truncation if scale else 1.0)
     limit = 1.0 if scale else truncation

@@ -107,10 +107,16 @@ def character_animation(character: Character, performance: Performance) -> Anima
     outside = ((low > 0) | (high < 0)).any()
     neutral = character.neutral - (low + high) / 2 if outside else character.neutral
     return AnimatedMesh(
-        character.name, neutral, character.triangles, character.expression_names, character.expressions,
-        character.weights(performance.curves), increasing(performance.timestamps), view_motion(performance.rigid),
+        character.name,
+        neutral,
+        character.triangles,
+        character.expression_names,
+        character.expressions,
+        character.weights(performance.curves),
+        increasing(performance.timestamps),
+        view_motion(performance.rigid),
         character.colours,
-    )  # fmt: skip
+    )
 
 
 def actor_animation(result: Result, actor: Actor | None = None, tolerance: float = 0.045) -> AnimatedMesh:
@@ -136,8 +142,16 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
     shape, amount = principal_targets(_without(result, neutral, targets, weights), len(result), tolerance)
     names += [f"residual{k:03d}" for k in range(len(shape))]
     targets, weights = np.concatenate([targets, shape]), np.column_stack([weights, amount])
-    mesh = AnimatedMesh("actor", neutral, result.triangles, tuple(names), targets, weights,
-                        increasing(result.timestamps), view_motion(result.rigid))  # fmt: skip
+    mesh = AnimatedMesh(
+        "actor",
+        neutral,
+        result.triangles,
+        tuple(names),
+        targets,
+        weights,
+        increasing(result.timestamps),
+        view_motion(result.rigid),
+    )
     return in_slider_range(mesh)
 
 
@@ -149,8 +163,12 @@ def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray | Meshes, tol
     meshes = displacements if callable(displacements) else displacements.__getitem__
     shape, amount = principal_targets(meshes, len(mesh), tolerance)
     names = tuple(f"corrective{k:02d}" for k in range(len(shape)))
-    rich = replace(mesh, target_names=mesh.target_names + names, targets=np.concatenate([mesh.targets, shape]),
-                   weights=np.column_stack([mesh.weights, amount]))  # fmt: skip
+    rich = replace(
+        mesh,
+        target_names=mesh.target_names + names,
+        targets=np.concatenate([mesh.targets, shape]),
+        weights=np.column_stack([mesh.weights, amount]),
+    )
     return in_slider_range(rich)
 
 
@@ -166,9 +184,12 @@ def in_slider_range(mesh: AnimatedMesh) -> AnimatedMesh:
     if not low.any() and (span == 1.0).all():
         return mesh
     offset = np.tensordot(low, mesh.targets, axes=1)
-    return replace(mesh, target_names=(*mesh.target_names, "offset"),
-                   targets=np.concatenate([mesh.targets * span[:, None, None], offset[None]]),
-                   weights=np.column_stack([(mesh.weights - low) / span, np.ones(len(mesh))]))  # fmt: skip
+    return replace(
+        mesh,
+        target_names=(*mesh.target_names, "offset"),
+        targets=np.concatenate([mesh.targets * span[:, None, None], offset[None]]),
+        weights=np.column_stack([(mesh.weights - low) / span, np.ones(len(mesh))]),
+    )
 
 
 def _rig(result: Result, actor: Actor):

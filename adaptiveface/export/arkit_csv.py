@@ -29,8 +29,9 @@ def write_arkit_csv(path: str | os.PathLike, performance: Performance) -> None:
     """Write one row per frame, whole or not at all."""
     eyes = eye_angles(performance.curves) if performance.eyes is None else performance.eyes
     times = performance.start + increasing(performance.timestamps)
-    write_take(path, LiveLinkTake(times, performance.curves, head_angles(performance.rigid), eyes,
-                                  np.ones(len(performance), bool)))  # fmt: skip
+    write_take(
+        path, LiveLinkTake(times, performance.curves, head_angles(performance.rigid), eyes, np.ones(len(performance), bool))
+    )
 
 
 def read_arkit_csv(path: str | os.PathLike) -> Performance:

@@ -47,9 +47,15 @@ class Avatar:
         note = f"{self.file.path}: its meshes are passed on unopened; it {reason}"
         names = tuple(expression.name for expression in self.rig.expressions)
         return Character(
-            self.file.path.stem, np.zeros((0, 3)), np.zeros((0, 3), np.int32), names, np.zeros((len(names), 0, 3)),
-            notes=(*self.rig.notes, note), mix=np.array([e.row for e in self.rig.expressions]), parts=self.rig.parts,
-        )  # fmt: skip
+            self.file.path.stem,
+            np.zeros((0, 3)),
+            np.zeros((0, 3), np.int32),
+            names,
+            np.zeros((len(names), 0, 3)),
+            notes=(*self.rig.notes, note),
+            mix=np.array([e.row for e in self.rig.expressions]),
+            parts=self.rig.parts,
+        )
 
     def write(self, out: Path, performance: Performance) -> list[str]:
         """Write the file with the performance added, whole or not at all; returns what stays still and why.
@@ -69,9 +75,7 @@ class Avatar:
             for node, _, _ in motion.tracks:
                 self._movable(edit.document["nodes"][node], node)
             before = [animation.get("name") for animation in self.file.items("animations")]
-            name = next(
-                n for n in (ANIMATION, *(f"{ANIMATION} {k}" for k in range(2, len(before) + 3))) if n not in before
-            )
+            name = next(n for n in (ANIMATION, *(f"{ANIMATION} {k}" for k in range(2, len(before) + 3))) if n not in before)
             edit.add_animation(name, increasing(performance.timestamps), tracks)
         edit.save()
         kept = [f"its {len(before)} animations are kept; the last one, '{name}', is new"] if before else []
@@ -97,7 +101,5 @@ class Avatar:
         vrm = {"VRM", "VRMC_vrm"} & extensions(self.file.document).keys()
         if suffix not in (".glb", ".gltf", ".vrm") or suffix == ".vrm" and not vrm:
             what = ".glb, .gltf or .vrm" if vrm else ".glb or .gltf"
-            raise ParameterError(
-                f"{out}: with the character {self.file.path.name} the output's name must end in {what}"
-            )
+            raise ParameterError(f"{out}: with the character {self.file.path.name} the output's name must end in {what}")
         check_no_input(out, [self.file.path])

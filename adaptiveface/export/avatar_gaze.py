@@ -26,9 +26,14 @@ def reached(file: GltfContainer, gaze: np.ndarray, side: int) -> np.ndarray:
         return gaze
     yaw, pitch, _ = np.degrees(angles(gaze)).T  # yaw is positive to the subject's right, pitch downwards
     right, left = (_INNER, _OUTER) if side == 0 else (_OUTER, _INNER)
-    turned = np.stack([np.where(yaw > 0, _mapped(yaw, limits[right]), _mapped(yaw, limits[left])),
-                       np.where(pitch > 0, _mapped(pitch, limits[_DOWN]), _mapped(pitch, limits[_UP])),
-                       np.zeros_like(yaw)], axis=-1)  # fmt: skip
+    turned = np.stack(
+        [
+            np.where(yaw > 0, _mapped(yaw, limits[right]), _mapped(yaw, limits[left])),
+            np.where(pitch > 0, _mapped(pitch, limits[_DOWN]), _mapped(pitch, limits[_UP])),
+            np.zeros_like(yaw),
+        ],
+        axis=-1,
+    )
     return rotations(np.radians(turned))
 
 
@@ -44,8 +49,10 @@ def _limit(file: GltfContainer, name: str) -> tuple[float, float] | None:
     entry = one.get(f"rangeMap{name}") or zero.get(f"lookAt{name}")
     if not entry:
         return None
-    limit = (float(entry.get("inputMaxValue", entry.get("xRange", 90.0))),
-             float(entry.get("outputScale", entry.get("yRange", 10.0))))  # fmt: skip
+    limit = (
+        float(entry.get("inputMaxValue", entry.get("xRange", 90.0))),
+        float(entry.get("outputScale", entry.get("yRange", 10.0))),
+    )
     if not all(np.isfinite(limit)) or not 0 < limit[0] <= 360 or not 0 <= limit[1] <= _MOST_DEGREES:
         raise FileFormatError(f"{file.path}: its look-at range {name} is {limit[0]:g} to {limit[1]:g} degrees")
     return limit

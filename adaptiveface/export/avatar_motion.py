@@ -103,9 +103,7 @@ def _turn_bones(motion: AvatarMotion, nodes: Nodes, rest: list, bones: dict[str,
     motion.turn(head, np.swapaxes(above, -1, -2) @ turned @ rest[head])
 
 
-def _turn_eyes(
-    motion, file, nodes, rest, face: OpenFace | None, bones: dict, gaze: np.ndarray, facing: np.ndarray
-) -> None:
+def _turn_eyes(motion, file, nodes, rest, face: OpenFace | None, bones: dict, gaze: np.ndarray, facing: np.ndarray) -> None:
     """Turn the eyes' bones, unless morph targets move the same eyes; ``gaze`` (F, 2, 3, 3): left and right eye."""
     eyes = {name: bones[name] for name in ("left eye", "right eye") if name in bones}
     if not eyes or gaze_by_expressions(file):
@@ -120,9 +118,7 @@ def _turn_eyes(
             motion.turn(eyes[name], _above(nodes, rest, eyes[name]).T @ turned @ rest[eyes[name]])
 
 
-def _move_meshes(
-    motion, file, nodes: Nodes, rest, face: OpenFace | None, faces: set[int], turned, path: np.ndarray
-) -> None:
+def _move_meshes(motion, file, nodes: Nodes, rest, face: OpenFace | None, faces: set[int], turned, path: np.ndarray) -> None:
     """Without bones: turn the nodes that carry the head's meshes about its middle; move them where there is no body."""
     head = faces if face is None else face.nodes
     shown = [number for number in nodes.shown if "mesh" in nodes.entries[number]]

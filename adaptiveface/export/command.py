@@ -53,8 +53,9 @@ def run_export(args: argparse.Namespace) -> int:
         return run_take_export(args, out, _smoothing(args))
     result = _timed(Result.load(args.result), args.result)
     actor = _actor(args.actor, args.result.parent, result)
-    options = ExportOptions(args.character, _coefficients(args, actor), _smoothing(args), args.correctives,
-                            UNITS.get(args.unit))  # fmt: skip
+    options = ExportOptions(
+        args.character, _coefficients(args, actor), _smoothing(args), args.correctives, UNITS.get(args.unit)
+    )
     if args.format == "arkit-csv":
         from .arkit_csv import write_arkit_csv
 
@@ -81,8 +82,9 @@ def run_export(args: argparse.Namespace) -> int:
         return 0
     if args.format == "glb" and options.avatar:
         table = arkit_weights(driving_names(result, options.coefficients))
-        write_avatar(out, options, lambda: retarget(result, options.coefficients, options.smoothing, actor),
-                     lambda c: coverage(table, c))  # fmt: skip
+        write_avatar(
+            out, options, lambda: retarget(result, options.coefficients, options.smoothing, actor), lambda c: coverage(table, c)
+        )
         return 0
     mesh = animated(result, actor, options)
     write_mesh(out, mesh, args.format, args.out_unit, args.compact)
@@ -190,9 +192,7 @@ def animated(result: Result, actor: Actor | None, options: ExportOptions) -> Ani
     return animated_character(result, actor, character, options)
 
 
-def animated_character(
-    result: Result, actor: Actor | None, character: Character, options: ExportOptions
-) -> AnimatedMesh:
+def animated_character(result: Result, actor: Actor | None, character: Character, options: ExportOptions) -> AnimatedMesh:
     """A loaded character driven by a result."""
     mesh = character_animation(character, retarget(result, options.coefficients, options.smoothing, actor))
     if not options.correctives:
@@ -250,8 +250,15 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
     found, receiver = addresses(args, default_vmc=True), avatar(args)  # what is wrong fails before the capture
     actor = Actor.load(args.actor) if args.actor else None
     actor = actor or capture_from(source, parameters, args.neutral_frames, progress=True)
-    streamer = Streamer(actor, parameters.blendshapes.A, smoothing=_smoothing(args), avatar=receiver, halves=has_units(actor),
-                        parameters=parameters.blendshapes, **found)  # fmt: skip
+    streamer = Streamer(
+        actor,
+        parameters.blendshapes.A,
+        smoothing=_smoothing(args),
+        avatar=receiver,
+        halves=has_units(actor),
+        parameters=parameters.blendshapes,
+        **found,
+    )
     if streamer.unknown:
         print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
     print("\n".join(said(found)))

@@ -17,9 +17,7 @@ def addresses(args: argparse.Namespace, default_vmc: bool = False) -> dict[str, 
     where it is needed.
     """
     found = {
-        name: Address.parse(getattr(args, name), port)
-        for _, name, port in _KINDS
-        if getattr(args, name, None) is not None
+        name: Address.parse(getattr(args, name), port) for _, name, port in _KINDS if getattr(args, name, None) is not None
     }
     if default_vmc and not found:
         found["vmc"] = Address.parse("", VMC_PORT)

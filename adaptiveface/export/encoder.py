@@ -35,10 +35,35 @@ def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tu
     failure ffmpeg is ended before it could finish the film.
     """
     command = [
-        program, "-y", "-hide_banner", "-nostats", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
-        "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.9g}", "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p",
-        "-preset", "veryfast", "-crf", "20", "-movflags", "+faststart", os.fspath(path.absolute()),
-    ]  # fmt: skip
+        program,
+        "-y",
+        "-hide_banner",
+        "-nostats",
+        "-loglevel",
+        "error",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{size[0]}x{size[1]}",
+        "-r",
+        f"{fps:.9g}",
+        "-i",
+        "-",
+        "-an",
+        "-c:v",
+        "libx264",
+        "-pix_fmt",
+        "yuv420p",
+        "-preset",
+        "veryfast",
+        "-crf",
+        "20",
+        "-movflags",
+        "+faststart",
+        os.fspath(path.absolute()),
+    ]
     apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
     with tempfile.TemporaryFile() as said:
         with CtrlC() as ctrl_c:  # between its start and its name here nobody could end it

@@ -21,8 +21,13 @@ from ..retargeting.gltf_file import GltfFile
 from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
 
 _ARRAY, _ELEMENTS = 34962, 34963
-_COMPONENT = {np.dtype(np.int8): 5120, np.dtype(np.int16): 5122, np.dtype(np.uint16): 5123, np.dtype(np.uint32): 5125,
-              np.dtype(np.float32): 5126}  # fmt: skip
+_COMPONENT = {
+    np.dtype(np.int8): 5120,
+    np.dtype(np.int16): 5122,
+    np.dtype(np.uint16): 5123,
+    np.dtype(np.uint32): 5125,
+    np.dtype(np.float32): 5126,
+}
 _QUANTIZED = "KHR_mesh_quantization"
 #: A vertex whose target moves it less than this is left out of the sparse accessor, m (float32 rounds more).
 _STILL = 1e-8
@@ -131,21 +136,25 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
         "scenes": [{"nodes": [0]}],
         "nodes": [
             {"name": "performance", "children": [1], "translation": _metres(-mesh.centre)},
-            {"name": "head", "mesh": 0, "translation": _metres(mesh.rigid[0, :3, 3]),
-             "rotation": quaternions(mesh.rigid[:1, :3, :3])[0].tolist()},  # at rest it is where the first frame is
+            {
+                "name": "head",
+                "mesh": 0,
+                "translation": _metres(mesh.rigid[0, :3, 3]),
+                "rotation": quaternions(mesh.rigid[:1, :3, :3])[0].tolist(),
+            },  # at rest it is where the first frame is
         ],
         "meshes": [_mesh(builder, mesh, packing)],
-        "materials": [{"name": "skin", "doubleSided": True,
-                       "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.6}}],
+        "materials": [
+            {"name": "skin", "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.6}}
+        ],
         "animations": [_animation(builder, mesh, packing)],
-    }  # fmt: skip
+    }
     if compact:
         document["nodes"][1]["scale"] = 3 * [packing.scale]
         document |= {"extensionsUsed": [_QUANTIZED], "extensionsRequired": [_QUANTIZED]}
     if mesh.colours is None:
         document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [*map(float, linear_colours(SKIN)), 1.0]
-    document |= {"accessors": builder.accessors, "bufferViews": builder.views,
-                 "buffers": [{"byteLength": len(builder.binary)}]}  # fmt: skip
+    document |= {"accessors": builder.accessors, "bufferViews": builder.views, "buffers": [{"byteLength": len(builder.binary)}]}
     _write(path, document, builder.binary)
 
 
@@ -168,8 +177,12 @@ def _mesh(builder: _Builder, mesh: AnimatedMesh, packing: _Packing) -> dict:
     for target in mesh.targets:
         turned = unit_normals(mesh.neutral + target, mesh.triangles) - normals
         turned[np.abs(turned).max(axis=1) < 1e-4] = 0.0
-        targets.append({"POSITION": builder.sparse(packing.lengths(target), bounds=True),
-                        "NORMAL": builder.sparse(packing.normals(turned))})  # fmt: skip
+        targets.append(
+            {
+                "POSITION": builder.sparse(packing.lengths(target), bounds=True),
+                "NORMAL": builder.sparse(packing.normals(turned)),
+            }
+        )
     primitive = {"attributes": attributes, "indices": builder.accessor(triangles.ravel(), _ELEMENTS), "material": 0}
     entry = {"name": mesh.name, "primitives": [primitive]}
     if targets:
@@ -184,8 +197,10 @@ def _animation(builder: _Builder, mesh: AnimatedMesh, packing: _Packing) -> dict
     curves = {"translation": position, "rotation": quaternions(mesh.rigid[:, :3, :3]).astype(np.float32)}
     if mesh.targets.size:
         curves["weights"] = np.ascontiguousarray(packing.weights(mesh.weights)).ravel()
-    samplers = [{"input": times, "output": builder.accessor(values, **_normalized(values)), "interpolation": "LINEAR"}
-                for values in curves.values()]  # fmt: skip
+    samplers = [
+        {"input": times, "output": builder.accessor(values, **_normalized(values)), "interpolation": "LINEAR"}
+        for values in curves.values()
+    ]
     channels = [{"sampler": k, "target": {"node": 1, "path": path}} for k, path in enumerate(curves)]
     return {"name": "performance", "samplers": samplers, "channels": channels}
 
@@ -238,6 +253,12 @@ def read_glb_animation(path: str | os.PathLike) -> AnimatedMesh:
         weights = curves.get("weights", np.zeros((0, 1))).reshape(len(times), len(targets))
         names = tuple(mesh.get("extras", {}).get("targetNames", ()))
         return AnimatedMesh(
-            mesh["name"], neutral / METRES, file.triangles(primitive, len(neutral)), names,
-            np.array(targets).reshape(len(targets), len(neutral), 3) / METRES, weights, times, rigid,
-        )  # fmt: skip
+            mesh["name"],
+            neutral / METRES,
+            file.triangles(primitive, len(neutral)),
+            names,
+            np.array(targets).reshape(len(targets), len(neutral), 3) / METRES,
+            weights,
+            times,
+            rigid,
+        )

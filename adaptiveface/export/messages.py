@@ -19,21 +19,66 @@ NECK_SHARE = 0.4
 #: Bones that are sent, by VRM's names, and where an adult avatar of VRoid Studio has them in their parents: metres, x to
 #: the avatar's left, y up, z forward. Receivers write the position of a message into the bone, so that zero would sink it.
 OFFSETS = {
-    "Head": (0.0, 0.081, 0.010), "Neck": (0.0, 0.137, -0.040), "LeftEye": (0.016, 0.075, 0.026),
+    "Head": (0.0, 0.081, 0.010),
+    "Neck": (0.0, 0.137, -0.040),
+    "LeftEye": (0.016, 0.075, 0.026),
     "RightEye": (-0.016, 0.075, 0.026),
-}  # fmt: skip
+}
 #: Face Cap's numbers of ARKit's shapes (its page on live mode).
 FACE_CAP = (
-    "browInnerUp", "browDownLeft", "browDownRight", "browOuterUpLeft", "browOuterUpRight", "eyeLookUpLeft",
-    "eyeLookUpRight", "eyeLookDownLeft", "eyeLookDownRight", "eyeLookInLeft", "eyeLookInRight", "eyeLookOutLeft",
-    "eyeLookOutRight", "eyeBlinkLeft", "eyeBlinkRight", "eyeSquintLeft", "eyeSquintRight", "eyeWideLeft",
-    "eyeWideRight", "cheekPuff", "cheekSquintLeft", "cheekSquintRight", "noseSneerLeft", "noseSneerRight", "jawOpen",
-    "jawForward", "jawLeft", "jawRight", "mouthFunnel", "mouthPucker", "mouthLeft", "mouthRight", "mouthRollUpper",
-    "mouthRollLower", "mouthShrugUpper", "mouthShrugLower", "mouthClose", "mouthSmileLeft", "mouthSmileRight",
-    "mouthFrownLeft", "mouthFrownRight", "mouthDimpleLeft", "mouthDimpleRight", "mouthUpperUpLeft",
-    "mouthUpperUpRight", "mouthLowerDownLeft", "mouthLowerDownRight", "mouthPressLeft", "mouthPressRight",
-    "mouthStretchLeft", "mouthStretchRight", "tongueOut",
-)  # fmt: skip
+    "browInnerUp",
+    "browDownLeft",
+    "browDownRight",
+    "browOuterUpLeft",
+    "browOuterUpRight",
+    "eyeLookUpLeft",
+    "eyeLookUpRight",
+    "eyeLookDownLeft",
+    "eyeLookDownRight",
+    "eyeLookInLeft",
+    "eyeLookInRight",
+    "eyeLookOutLeft",
+    "eyeLookOutRight",
+    "eyeBlinkLeft",
+    "eyeBlinkRight",
+    "eyeSquintLeft",
+    "eyeSquintRight",
+    "eyeWideLeft",
+    "eyeWideRight",
+    "cheekPuff",
+    "cheekSquintLeft",
+    "cheekSquintRight",
+    "noseSneerLeft",
+    "noseSneerRight",
+    "jawOpen",
+    "jawForward",
+    "jawLeft",
+    "jawRight",
+    "mouthFunnel",
+    "mouthPucker",
+    "mouthLeft",
+    "mouthRight",
+    "mouthRollUpper",
+    "mouthRollLower",
+    "mouthShrugUpper",
+    "mouthShrugLower",
+    "mouthClose",
+    "mouthSmileLeft",
+    "mouthSmileRight",
+    "mouthFrownLeft",
+    "mouthFrownRight",
+    "mouthDimpleLeft",
+    "mouthDimpleRight",
+    "mouthUpperUpLeft",
+    "mouthUpperUpRight",
+    "mouthLowerDownLeft",
+    "mouthLowerDownRight",
+    "mouthPressLeft",
+    "mouthPressRight",
+    "mouthStretchLeft",
+    "mouthStretchRight",
+    "tongueOut",
+)
 
 
 @dataclass(frozen=True)
@@ -113,15 +158,19 @@ def vmc_messages(state: FaceState, avatar: VmcAvatar | None = None) -> list[Mess
     turn = Rotation.from_matrix(state.rotation).as_rotvec()
     left, right = rotations(state.eye_angles.reshape(2, 3))
     turns = {
-        "Head": Rotation.from_rotvec((1 - NECK_SHARE) * turn), "Neck": Rotation.from_rotvec(NECK_SHARE * turn),
-        "LeftEye": Rotation.from_matrix(left), "RightEye": Rotation.from_matrix(right),
-    }  # fmt: skip
+        "Head": Rotation.from_rotvec((1 - NECK_SHARE) * turn),
+        "Neck": Rotation.from_rotvec(NECK_SHARE * turn),
+        "LeftEye": Rotation.from_matrix(left),
+        "RightEye": Rotation.from_matrix(right),
+    }
     for bone, rotation in turns.items():
         place = _unity_place(avatar.offsets[bone])
         out.append(("/VMC/Ext/Bone/Pos", [bone, *place, *_unity_turn(rotation)]))
     if avatar.arkit:
-        out += [("/VMC/Ext/Blend/Val", [name[0].upper() + name[1:], float(value)])
-                for name, value in zip(ARKIT_NAMES, state.curves, strict=True)]  # fmt: skip
+        out += [
+            ("/VMC/Ext/Blend/Val", [name[0].upper() + name[1:], float(value)])
+            for name, value in zip(ARKIT_NAMES, state.curves, strict=True)
+        ]
     if avatar.presets:
         for preset, value in zip(PRESETS, preset_weights(state.curves[None])[0].tolist(), strict=True):
             names = dict.fromkeys((preset, VRM0_NAMES.get(preset, preset)))

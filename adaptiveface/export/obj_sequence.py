@@ -19,9 +19,7 @@ _FRAME = re.compile(r"(?:face_)?\d{5,}\.obj")
 _UNIT = re.compile(r"# adaptiveface: lengths in (\w+)")
 
 
-def obj_text(
-    vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm"
-) -> str:
+def obj_text(vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm") -> str:
     """An OBJ file of vertices (V, 3) mm and triangles (T, 3), with smooth normals, in ``unit`` (:data:`UNITS`).
 
     colours (V, 3) uint8 stand behind the coordinates, as many programs read them.

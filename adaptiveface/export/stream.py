@@ -57,9 +57,16 @@ class Streamer:
     """
 
     def __init__(
-        self, actor: Actor, count: int | None = None, vmc: Address | None = None, osc: Address | None = None,
-        smoothing: Smoothing | None = None, livelink: Address | None = None, avatar: VmcAvatar | None = None,
-        parameters: BlendshapeParameters | None = None, halves: bool = False,
+        self,
+        actor: Actor,
+        count: int | None = None,
+        vmc: Address | None = None,
+        osc: Address | None = None,
+        smoothing: Smoothing | None = None,
+        livelink: Address | None = None,
+        avatar: VmcAvatar | None = None,
+        parameters: BlendshapeParameters | None = None,
+        halves: bool = False,
     ) -> None:
         names, parameters = actor.expression_names[:count], parameters or BlendshapeParameters()
         self._weights = arkit_weights(names)
@@ -102,7 +109,10 @@ class Sender:
     """Sends faces over UDP: VMC and OSC messages (:mod:`adaptiveface.export.messages`), Live Link Face's datagrams."""
 
     def __init__(
-        self, vmc: Address | None = None, osc: Address | None = None, livelink: Address | None = None,
+        self,
+        vmc: Address | None = None,
+        osc: Address | None = None,
+        livelink: Address | None = None,
         avatar: VmcAvatar | None = None,
     ) -> None:
         self._avatar, self._livelink = avatar, livelink

@@ -243,5 +243,13 @@ def read_usd(path: str | os.PathLike) -> AnimatedMesh:
         pose[:3, 3] = scale * np.array(animation.GetTranslationsAttr().Get(code)[0], float)
     triangles = np.array(body.GetFaceVertexIndicesAttr().Get(), np.int32).reshape(-1, 3)
     times = np.array(codes) / stage.GetTimeCodesPerSecond()
-    return AnimatedMesh(body.GetPrim().GetName(), neutral, triangles, tuple(names), targets,
-                        weights.reshape(len(codes), len(names)), times, rigid)  # fmt: skip
+    return AnimatedMesh(
+        body.GetPrim().GetName(),
+        neutral,
+        triangles,
+        tuple(names),
+        targets,
+        weights.reshape(len(codes), len(names)),
+        times,
+        rigid,
+    )

@@ -40,9 +40,7 @@ Panel = Callable[[int], np.ndarray]
 def character_panel(mesh: AnimatedMesh) -> Panel:
     """The animated character with the head's rotation; it stays in the middle."""
     character = _still(mesh)
-    return lambda frame: painted_portrait(
-        character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ mesh.rigid[frame, :3, :3]
-    )
+    return lambda frame: painted_portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ mesh.rigid[frame, :3, :3])
 
 
 def turntable_panel(mesh: AnimatedMesh, degrees_per_frame: float = 2.0) -> Panel:
@@ -154,9 +152,7 @@ def _joined(drawn: list, times: int) -> Iterator[np.ndarray]:
     yield from itertools.repeat(np.hstack([panel.result() for panel in drawn]), times)
 
 
-def write_film(
-    path: str | Path, panels: Sequence[Panel], labels: Sequence[str], timestamps: np.ndarray, step: int = 1
-) -> None:
+def write_film(path: str | Path, panels: Sequence[Panel], labels: Sequence[str], timestamps: np.ndarray, step: int = 1) -> None:
     """The panels side by side over a take of increasing times (F,) s, as long as the take, every ``step``-th frame.
 
     ``.mp4`` repeats frames where the take has gaps, ``.gif`` shows them longer. Raises as :func:`write_video`.

@@ -58,11 +58,19 @@ def assemble(foreign: ForeignModel, feature_vertices=None) -> FaceModel:
         raise FileFormatError(f"{foreign.path}: the mean mesh is not recognised as a face in mm ({error})") from error
     weights, generic_names = _generic(foreign, found.frontal)
     return FaceModel(
-        name=foreign.path.name, mean=foreign.mean + found.offset, triangles=foreign.triangles.astype(np.int32),
-        identity_modes=foreign.identity_modes, expressions=foreign.expressions,
-        expression_names=foreign.names, generic_weights=weights, generic_names=generic_names, frontal=found.frontal,
-        depth_valid=found.depth_valid, feature_triangles=found.feature_triangles, feature_weights=found.feature_weights,
-    )  # fmt: skip
+        name=foreign.path.name,
+        mean=foreign.mean + found.offset,
+        triangles=foreign.triangles.astype(np.int32),
+        identity_modes=foreign.identity_modes,
+        expressions=foreign.expressions,
+        expression_names=foreign.names,
+        generic_weights=weights,
+        generic_names=generic_names,
+        frontal=found.frontal,
+        depth_valid=found.depth_valid,
+        feature_triangles=found.feature_triangles,
+        feature_weights=found.feature_weights,
+    )
 
 
 def check_size(path: Path, vertices: int, triangles: int) -> None:
@@ -99,10 +107,13 @@ def _skin_only(foreign: ForeignModel) -> tuple[ForeignModel, np.ndarray]:
     number = np.full(n, -1)
     number[used] = np.arange(len(used))
     cut = replace(
-        foreign, mean=foreign.mean[used].astype(float), triangles=number[triangles], skin=None,
+        foreign,
+        mean=foreign.mean[used].astype(float),
+        triangles=number[triangles],
+        skin=None,
         identity_modes=np.ascontiguousarray(foreign.identity_modes[:, used], np.float32),
         expressions=np.ascontiguousarray(foreign.expressions[:, used], np.float32),
-    )  # fmt: skip
+    )
     return _without_empty(cut), number
 
 
@@ -114,15 +125,17 @@ def _largest_part(triangles: np.ndarray, n: int) -> np.ndarray:
 
 def _without_empty(foreign: ForeignModel) -> ForeignModel:
     """Without the components that move teeth, tongue or eyeballs only: they would leave the fit undetermined."""
-    moving = [np.abs(modes).max(axis=(1, 2), initial=0.0) > NEGLIGIBLE_MM
-              for modes in (foreign.identity_modes, foreign.expressions)]  # fmt: skip
+    moving = [
+        np.abs(modes).max(axis=(1, 2), initial=0.0) > NEGLIGIBLE_MM for modes in (foreign.identity_modes, foreign.expressions)
+    ]
     if foreign.units:
         moving[1][:] = True
     if not (moving[0].any() and moving[1].any()):
         raise FileFormatError(f"{foreign.path}: no identity mode or no expression moves the skin")
     names = tuple(name for name, moves in zip(foreign.names, moving[1], strict=True) if moves)
-    return replace(foreign, identity_modes=foreign.identity_modes[moving[0]], names=names,
-                   expressions=foreign.expressions[moving[1]])  # fmt: skip
+    return replace(
+        foreign, identity_modes=foreign.identity_modes[moving[0]], names=names, expressions=foreign.expressions[moving[1]]
+    )
 
 
 # -- features given by the user -------------------------------------------------------------------------------------

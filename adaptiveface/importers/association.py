@@ -81,8 +81,9 @@ def _as_scan(vertices: np.ndarray, triangles: np.ndarray) -> FusedScan:
     points, face = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
     normals = surface_points(vertex_normals(vertices, triangles), triangles[face], _weights(mesh, points, face))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return FusedScan(np.asarray(points), normals, np.ones(len(points)), np.empty(0, int), np.empty((0, 4, 4)),
-                     np.empty(0), (), ())  # fmt: skip
+    return FusedScan(
+        np.asarray(points), normals, np.ones(len(points)), np.empty(0, int), np.empty((0, 4, 4)), np.empty(0), (), ()
+    )
 
 
 def _weights(mesh, points: np.ndarray, face: np.ndarray) -> np.ndarray:
@@ -92,8 +93,7 @@ def _weights(mesh, points: np.ndarray, face: np.ndarray) -> np.ndarray:
 def transfer_features(model: FaceModel, fitted, vertices, triangles) -> tuple[np.ndarray, np.ndarray]:
     """Triangles (40, 3) and weights (40, 3) on the foreign mesh closest to the features of our ``fitted`` mesh."""
     points = surface_points(fitted, model.feature_triangles, model.feature_weights)
-    directions = _unit(surface_points(vertex_normals(fitted, model.triangles), model.feature_triangles,
-                                      model.feature_weights))  # fmt: skip
+    directions = _unit(surface_points(vertex_normals(fitted, model.triangles), model.feature_triangles, model.feature_weights))
     corners, normals = vertices[triangles], _unit(triangle_normals(vertices, triangles))
     found, weights = np.empty((len(points), 3), np.int32), np.empty((len(points), 3))
     for f, (point, direction) in enumerate(zip(points, directions, strict=True)):

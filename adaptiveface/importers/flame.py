@@ -39,9 +39,12 @@ CONVERSION = (
 
 
 def load_flame(
-    path: str | os.PathLike, feature_vertices=None, identity_modes: int = 100, expression_modes: int = 60,
+    path: str | os.PathLike,
+    feature_vertices=None,
+    identity_modes: int = 100,
+    expression_modes: int = 60,
     identity_components: int = IDENTITY_COMPONENTS,
-) -> FaceModel:  # fmt: skip
+) -> FaceModel:
     """Read a FLAME model exported as npz.
 
     ``identity_components``: how many of the leading ``shapedirs`` are identity (300 in FLAME 2016 to 2023). The
@@ -65,8 +68,9 @@ def load_flame(
     if "weights" in data and "J_regressor" in data and data["weights"].shape[1] > JAW_JOINT:
         expressions = np.concatenate([expressions, _jaw_open(data)[None].astype(np.float32)])
         names.append("jawOpen")
-    foreign = ForeignModel(path, MM_PER_UNIT * template.astype(float), data["f"].astype(int), identity, expressions,
-                           tuple(names), units=False)  # fmt: skip
+    foreign = ForeignModel(
+        path, MM_PER_UNIT * template.astype(float), data["f"].astype(int), identity, expressions, tuple(names), units=False
+    )
     return assemble(foreign, feature_vertices)
 
 

@@ -43,10 +43,15 @@ def load_gnm(path: str | os.PathLike, feature_vertices=None, identity_modes: int
     expressions = data["expression_basis"]
     names = data.get("expression_names", [f"pca{k:03d}" for k in range(len(expressions))])
     foreign = ForeignModel(
-        path, MM_PER_UNIT * template.astype(float), data["triangles"].astype(int),
+        path,
+        MM_PER_UNIT * template.astype(float),
+        data["triangles"].astype(int),
         (MM_PER_UNIT * data["vertex_identity_basis"][:identity_modes]).astype(np.float32),
-        (MM_PER_UNIT * expressions).astype(np.float32), tuple(map(str, names)), units=False, skin=_skin(data),
-    )  # fmt: skip
+        (MM_PER_UNIT * expressions).astype(np.float32),
+        tuple(map(str, names)),
+        units=False,
+        skin=_skin(data),
+    )
     return assemble(foreign, feature_vertices)
 
 

@@ -47,9 +47,15 @@ def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_
     shapes = np.stack([_offset(path, mean) for path in tqdm([*identities, *targets], desc="ICT-FaceKit", leave=False)])
     skin = np.arange(len(mean)) < RELEASED_SKIN if len(mean) == RELEASED_VERTICES else None
     foreign = ForeignModel(
-        folder, MM_PER_UNIT * mean, triangles, shapes[: len(identities)], shapes[len(identities) :],
-        tuple(arkit_name(path.stem) for path in targets), units=True, skin=skin,
-    )  # fmt: skip
+        folder,
+        MM_PER_UNIT * mean,
+        triangles,
+        shapes[: len(identities)],
+        shapes[len(identities) :],
+        tuple(arkit_name(path.stem) for path in targets),
+        units=True,
+        skin=skin,
+    )
     return assemble(foreign, feature_vertices)
 
 

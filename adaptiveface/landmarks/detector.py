@@ -86,9 +86,7 @@ class FeatureDetector:
         weakref.finalize(self, _abandoned.extend, self._loaded).atexit = False
         self._path = os.fspath(model_path or face_landmarker_file())
         self._vision, self._base_options = vision, base_options
-        self._image = lambda pixels: mediapipe.Image(
-            image_format=mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(pixels)
-        )
+        self._image = lambda pixels: mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(pixels))
         self._landmarker = self._load(vision.RunningMode.IMAGE)
         self._video = self._load(vision.RunningMode.VIDEO) if video else None
         self._video_size: tuple[int, ...] = ()
@@ -101,9 +99,11 @@ class FeatureDetector:
     def _load(self, mode):
         """A landmarker of MediaPipe in one of its running modes, with its threads started."""
         options = self._vision.FaceLandmarkerOptions(
-            base_options=self._base_options(model_asset_path=self._path), running_mode=mode, num_faces=MAX_FACES,
+            base_options=self._base_options(model_asset_path=self._path),
+            running_mode=mode,
+            num_faces=MAX_FACES,
             output_face_blendshapes=True,
-        )  # fmt: skip
+        )
         try:
             with _native_stderr_closed():
                 landmarker = self._vision.FaceLandmarker.create_from_options(options)

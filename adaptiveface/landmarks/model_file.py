@@ -114,8 +114,7 @@ def _store(content: bytes, path: Path) -> None:
             temporary.write_bytes(content)
     except (OSError, AdaptiveFaceError) as error:
         raise FeatureDetectionError(
-            f"{path}: the face detector's model cannot be stored there ({error}); "
-            f"set {ENVIRONMENT} to a local copy of {URL}"
+            f"{path}: the face detector's model cannot be stored there ({error}); set {ENVIRONMENT} to a local copy of {URL}"
         ) from error
 
 

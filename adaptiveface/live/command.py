@@ -169,8 +169,9 @@ class _Headless:
             run.actor.save(self.args.save_actor)
             print(f"{self.args.save_actor}: {len(run.actor.neutral)} vertices")
         if self.args.out is not None:
-            builder = ResultBuilder(run.actor, self.parameters, FIRST_RESULTS, colour_only=run.colour_only,
-                                    folder=unfinished_folder(self.args.out))  # fmt: skip
+            builder = ResultBuilder(
+                run.actor, self.parameters, FIRST_RESULTS, colour_only=run.colour_only, folder=unfinished_folder(self.args.out)
+            )
             run.on_result(lambda result: builder.add(result.tracked))
             self._builder = builder
         self._stream(run)
@@ -189,8 +190,7 @@ class _Headless:
         statistics, name = session.statistics, session.feed.sensor.name
         if session.ended and not statistics.tracked + statistics.lost:
             raise TrackingError(
-                f"{name}: the recording ended with the neutral scan; keep it by --save-actor FILE, then track with "
-                "--actor FILE"
+                f"{name}: the recording ended with the neutral scan; keep it by --save-actor FILE, then track with --actor FILE"
             )
         if not statistics.tracked:
             raise TrackingError(f"{name}: the face was never found")
@@ -232,9 +232,15 @@ class _Headless:
 
         smoothing = OneEuro() if getattr(self.args, "smooth", False) else None
         fit = self.parameters.blendshapes
-        streamer = Streamer(run.actor, fit.A, smoothing=smoothing, avatar=self._avatar, parameters=fit,
-                            halves=has_units(run.actor),
-                            **self._destinations)  # fmt: skip
+        streamer = Streamer(
+            run.actor,
+            fit.A,
+            smoothing=smoothing,
+            avatar=self._avatar,
+            parameters=fit,
+            halves=has_units(run.actor),
+            **self._destinations,
+        )
         print("\n".join(said(self._destinations)))
         run.on_result(lambda result: streamer.send(result.tracked))
 

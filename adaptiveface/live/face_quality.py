@@ -7,6 +7,6 @@ from ..neutral.face_quality import (
     head_angles,
     seen_by_depth,
     sharpness,
-)  # fmt: skip
+)
 
 __all__ = ["Expression", "expression", "eye_distance", "head_angles", "seen_by_depth", "sharpness"]

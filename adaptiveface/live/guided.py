@@ -256,9 +256,7 @@ class GuidedCapture:
     def _guidance(self, warnings: tuple[str, ...]) -> Guidance:
         coverage = self.coverage
         if self._finished:
-            return Guidance(
-                f"done: {len(self.frames)} frames", "done", 1.0, coverage, self._shortcomings(coverage), True
-            )
+            return Guidance(f"done: {len(self.frames)} frames", "done", 1.0, coverage, self._shortcomings(coverage), True)
         progress = max(self._elapsed / self.seconds, float(np.mean(list(coverage.values()))))
         return Guidance(STEPS[self._step], self._step, min(progress, 0.99), coverage, warnings, False)
 

@@ -22,8 +22,7 @@ MAX_BYTES, MAX_NAME = 2048, 512
 _TIME = struct.Struct(">ifii")
 _SWAPPED = {"jawRight": "jawLeft", "jawLeft": "jawRight", "mouthRight": "mouthLeft", "mouthLeft": "mouthRight"}
 #: (61,) position in the CSV's order of every value of a datagram; its own inverse.
-_ORDER = np.array([ARKIT_NAMES.index(_SWAPPED.get(name, name)) for name in ARKIT_NAMES]
-                  + list(range(len(ARKIT_NAMES), _COUNT)))  # fmt: skip
+_ORDER = np.array([ARKIT_NAMES.index(_SWAPPED.get(name, name)) for name in ARKIT_NAMES] + list(range(len(ARKIT_NAMES), _COUNT)))
 
 
 @dataclass(frozen=True)

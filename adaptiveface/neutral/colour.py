@@ -90,9 +90,15 @@ def _from_features(frames: Sequence[RgbdFrame], model: FaceModel, parameters: Pa
     actor = build_actor(model, neutral, identity=identity)
     empty, count = np.zeros((0, 3)), len(seen)
     rays = FusedScan(
-        empty, empty, np.zeros(0), np.arange(count), poses, np.zeros(count), tuple(f.features for f in seen),
+        empty,
+        empty,
+        np.zeros(0),
+        np.arange(count),
+        poses,
+        np.zeros(count),
+        tuple(f.features for f in seen),
         tuple(f.camera for f in seen),
-    )  # fmt: skip
+    )
     constraints = constraints_on(rays, model, neutral)
     places = calibrated_features(constraints, model, neutral, parameters.shrink_wrap.feature_shift)
     return replace(actor, feature_triangles=places[0], feature_weights=places[1])

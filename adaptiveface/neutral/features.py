@@ -155,10 +155,9 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
     if landmarks is None or not any(features is not None and features.face is not None for features in scan.features):
         return landmarks
     seen = tuple(
-        None if features is None or features.face is None
-        else Features2D(landmarks.pixels(features), landmarks.trust(pose))
+        None if features is None or features.face is None else Features2D(landmarks.pixels(features), landmarks.trust(pose))
         for features, pose in zip(scan.features, scan.poses, strict=True)
-    )  # fmt: skip
+    )
     placed = replace(model, feature_triangles=landmarks.triangles, feature_weights=landmarks.weights)
     constraints = constraints_on(replace(scan, features=seen), placed, vertices)
     count = min(float(sum(features is not None for features in seen)), INDEPENDENT)

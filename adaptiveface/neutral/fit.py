@@ -104,8 +104,13 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     constraints = constraints_on(scan, model, vertices)
     rms = constraints.rms(surface_points(vertices, model.feature_triangles, model.feature_weights))
     return IdentityFit(
-        identity, pose, model.neutral(identity), float(np.median(np.abs(found.distances))), matched,
-        np.where(constraints.seen, rms, np.nan), np.array(history),
+        identity,
+        pose,
+        model.neutral(identity),
+        float(np.median(np.abs(found.distances))),
+        matched,
+        np.where(constraints.seen, rms, np.nan),
+        np.array(history),
     )
 
 

@@ -173,8 +173,13 @@ def _merged(frames, placed: dict[int, Placed], box, parameters) -> FusedScan:
     used = sorted(placed)
     fits = [evaluate(*placed[k], points[sample], normals[sample], parameters) for k in used]
     return FusedScan(
-        points, normals, weights, np.array(used), np.stack([placed[k].pose for k in used]),
-        np.array([fit.residual for fit in fits]), tuple(frames[k].features for k in used),
+        points,
+        normals,
+        weights,
+        np.array(used),
+        np.stack([placed[k].pose for k in used]),
+        np.array([fit.residual for fit in fits]),
+        tuple(frames[k].features for k in used),
         tuple(frames[k].camera for k in used),
     )
 
@@ -200,6 +205,12 @@ def in_head_frame(scan: FusedScan, head_from_scan: np.ndarray) -> FusedScan:
     """The same scan in another frame: (4, 4) scan to head."""
     scan_from_head = np.linalg.inv(head_from_scan)
     return FusedScan(
-        transform_points(head_from_scan, scan.points), scan.normals @ head_from_scan[:3, :3].T, scan.weights,
-        scan.frames, scan.poses @ scan_from_head, scan.residuals, scan.features, scan.cameras,
+        transform_points(head_from_scan, scan.points),
+        scan.normals @ head_from_scan[:3, :3].T,
+        scan.weights,
+        scan.frames,
+        scan.poses @ scan_from_head,
+        scan.residuals,
+        scan.features,
+        scan.cameras,
     )

@@ -113,8 +113,15 @@ def say_doubtful_size(source, model: FaceModel, vertices: np.ndarray) -> None:
     size, width, height = face_size(model, vertices)
     if doubt := likely_unit(source, size):
         name = f"{source.name}: " if source is not None else ""
-        _log.warning("%sthe face is %.0f mm wide and %.0f mm high, %.2f times the average one's; a %s face%s",
-                     name, width, height, size, "child's" if size < 1 else "very large", doubt)  # fmt: skip
+        _log.warning(
+            "%sthe face is %.0f mm wide and %.0f mm high, %.2f times the average one's; a %s face%s",
+            name,
+            width,
+            height,
+            size,
+            "child's" if size < 1 else "very large",
+            doubt,
+        )
 
 
 class SizeWatch:

@@ -95,8 +95,11 @@ def _coarse(scan, model, vertices, search, parameters) -> tuple[np.ndarray, list
         _add_scan(energy, carry, found, vertex_areas(vertices, model.triangles)[found.vertices])
         _add_features(energy, carry, model, current, constraints_on(scan, model, current), parameters)
         for rows, constant, weight, relaxes in fixed:
-            energy.add(sp.kron(rows, sp.identity(3), format="csr"), (rows @ unknown + constant).ravel(),
-                       weight * (rigidity if relaxes else 1.0))
+            energy.add(
+                sp.kron(rows, sp.identity(3), format="csr"),
+                (rows @ unknown + constant).ravel(),
+                weight * (rigidity if relaxes else 1.0),
+            )
         energy.add(*rigidity_rows(unknown), rigidity * step_square(graph))
         unknown = unknown + energy.solve().reshape(-1, 3)
         current = carry @ unknown + rest

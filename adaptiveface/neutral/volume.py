@@ -25,8 +25,20 @@ class TsdfVolume:
         """Add one registered depth view; ``pose`` (4, 4) model to camera. Weight: the cosine of the viewing angle."""
         camera = view.camera
         _integrate(
-            self.distance, self.weight, self.origin, self.voxel, self.truncation, pose, view.points, view.normals,
-            view.valid, camera.fx, camera.fy, camera.cx, camera.cy, min_cosine,
+            self.distance,
+            self.weight,
+            self.origin,
+            self.voxel,
+            self.truncation,
+            pose,
+            view.points,
+            view.normals,
+            view.valid,
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            min_cosine,
         )
 
     def surface(self, min_weight: float = 1e-3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -90,8 +102,10 @@ def _zero_crossings(distance, weight, min_weight, out):
                     d1 = distance[a, b, c]
                     if weight[a, b, c] <= min_weight or (d0 > 0) == (d1 > 0) or abs(d0 - d1) > 1.0:
                         continue
-                    if not (_gradient(distance, weight, min_weight, i, j, k, gradient[0])
-                            and _gradient(distance, weight, min_weight, a, b, c, gradient[1])):
+                    if not (
+                        _gradient(distance, weight, min_weight, i, j, k, gradient[0])
+                        and _gradient(distance, weight, min_weight, a, b, c, gradient[1])
+                    ):
                         continue
                     t = d0 / (d0 - d1)
                     g0 = (1 - t) * gradient[0, 0] + t * gradient[1, 0]
@@ -114,9 +128,14 @@ def _zero_crossings(distance, weight, min_weight, out):
 @compiled
 def _gradient(distance, weight, min_weight, i, j, k, out):
     """Central differences; False at the rim of the data, where a normal would be invented."""
-    if (weight[i - 1, j, k] <= min_weight or weight[i + 1, j, k] <= min_weight
-            or weight[i, j - 1, k] <= min_weight or weight[i, j + 1, k] <= min_weight
-            or weight[i, j, k - 1] <= min_weight or weight[i, j, k + 1] <= min_weight):
+    if (
+        weight[i - 1, j, k] <= min_weight
+        or weight[i + 1, j, k] <= min_weight
+        or weight[i, j - 1, k] <= min_weight
+        or weight[i, j + 1, k] <= min_weight
+        or weight[i, j, k - 1] <= min_weight
+        or weight[i, j, k + 1] <= min_weight
+    ):
         return False
     out[0] = distance[i + 1, j, k] - distance[i - 1, j, k]
     out[1] = distance[i, j + 1, k] - distance[i, j - 1, k]

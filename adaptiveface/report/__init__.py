@@ -23,9 +23,19 @@ MAX_SCORED = 120
 
 
 def write_report(
-    result, source, actor, out_dir: str | os.PathLike, truth=None, *, evaluation: Evaluation | None = None,
-    correctives: np.ndarray | None = None, parameters=None, known=None, still_frames: int = 0, character: str = "hag",
-) -> Path:  # fmt: skip
+    result,
+    source,
+    actor,
+    out_dir: str | os.PathLike,
+    truth=None,
+    *,
+    evaluation: Evaluation | None = None,
+    correctives: np.ndarray | None = None,
+    parameters=None,
+    known=None,
+    still_frames: int = 0,
+    character: str = "hag",
+) -> Path:
     """Write ``out_dir/report.html`` and return its path.
 
     result: the tracked frames (an iterable of ``TrackedFrame``, or an object with the arrays of ``result.npz``);
@@ -49,13 +59,22 @@ def write_report(
     context = Context(record, source, actor, truth, evaluation, time_spans(record, evaluation))
     name = str(getattr(source, "name", "a performance"))
     body = [
-        sections.heading(name, record.colour_only), sections.doubt(context), scenes.preview(context),
-        sections.tiles(context), sections.losses(context), sections.fit(context),
-        scenes.tracked_frames(context), scenes.rig(context), sections.coefficients(context),
+        sections.heading(name, record.colour_only),
+        sections.doubt(context),
+        scenes.preview(context),
+        sections.tiles(context),
+        sections.losses(context),
+        sections.fit(context),
+        scenes.tracked_frames(context),
+        scenes.rig(context),
+        sections.coefficients(context),
         retargeting.section(context, load_character(character), known, still_frames),
-        sections.learning(context, _whole_mesh(correctives, actor)), sections.errors(context, note),
-        sections.timings(context), sections.parameters(context), sections.footer(),
-    ]  # fmt: skip
+        sections.learning(context, _whole_mesh(correctives, actor)),
+        sections.errors(context, note),
+        sections.timings(context),
+        sections.parameters(context),
+        sections.footer(),
+    ]
     path = Path(out_dir) / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as unfinished:

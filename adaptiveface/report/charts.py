@@ -18,8 +18,14 @@ from .context import Spans
 from .page import INK, inline_svg
 
 BLUE, ORANGE, GREEN, VERMILLION, SKY, PURPLE, GREY = (
-    "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#8a94a3",
-)  # fmt: skip
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#d55e00",
+    "#56b4e9",
+    "#cc79a7",
+    "#8a94a3",
+)
 STATE_COLOURS = {
     SampleState.UNTRACKED: (GREY, "not tracked"),
     SampleState.IN_ANCHOR_SPACE: (SKY, "in the anchor space"),
@@ -29,13 +35,31 @@ STATE_COLOURS = {
 }
 
 _STYLE = {
-    "svg.fonttype": "none", "svg.hashsalt": "report", "font.family": "sans-serif", "font.size": 10,
-    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": INK, "axes.labelcolor": INK,
-    "axes.grid": True, "grid.color": GREY, "grid.alpha": 0.25, "grid.linewidth": 0.6, "axes.axisbelow": True,
-    "xtick.color": INK, "ytick.color": INK, "text.color": INK, "legend.frameon": False, "axes.facecolor": "none",
-    "axes.linewidth": 0.7, "lines.linewidth": 1.3, "legend.fontsize": 9, "axes.titlesize": 10,
-    "axes.titlelocation": "left", "image.composite_image": False,
-}  # fmt: skip
+    "svg.fonttype": "none",
+    "svg.hashsalt": "report",
+    "font.family": "sans-serif",
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.grid": True,
+    "grid.color": GREY,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "legend.frameon": False,
+    "axes.facecolor": "none",
+    "axes.linewidth": 0.7,
+    "lines.linewidth": 1.3,
+    "legend.fontsize": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "image.composite_image": False,
+}
 
 
 def _figure(height: float, rows: int = 1, ratios: Sequence[float] | None = None, width: float = 9.6):
@@ -55,9 +79,15 @@ def _mark_spans(axis, spans: Spans) -> None:
         if start > axis.get_xlim()[0]:
             axis.axvline(start, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
         axis.text(
-            (start + end) / 2, 1.01, name, transform=axis.get_xaxis_transform(), ha="center", va="bottom", fontsize=9,
+            (start + end) / 2,
+            1.01,
+            name,
+            transform=axis.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=9,
             color=GREY,
-        )  # fmt: skip
+        )
 
 
 def _break_at_gaps(values: np.ndarray, tracked: np.ndarray) -> np.ndarray:
@@ -104,9 +134,14 @@ def coefficients(record, names: Sequence[str], spans: Spans = ()) -> str:
         t = record.timestamps
         step = (t[-1] - t[0]) / max(len(t) - 1, 1) or 1 / 30
         picture = axis.imshow(
-            values, aspect="auto", cmap="cividis", vmin=limits.lower, vmax=limits.upper, interpolation="nearest",
+            values,
+            aspect="auto",
+            cmap="cividis",
+            vmin=limits.lower,
+            vmax=limits.upper,
+            interpolation="nearest",
             extent=(t[0] - step / 2, t[-1] + step / 2, count - 0.5, -0.5),
-        )  # fmt: skip
+        )
         axis.set_yticks(range(count), list(names)[:count], fontsize=7.5)
         axis.set_xlabel("time, s")
         axis.grid(visible=False)

@@ -49,9 +49,7 @@ def animation_uri(frames: Sequence[np.ndarray], milliseconds: int, quality: int 
     """A data URI of an endless animated WebP of (h, w, 3) uint8 frames."""
     first, *rest = (Image.fromarray(frame) for frame in frames)
     stream = io.BytesIO()
-    first.save(
-        stream, "WEBP", save_all=True, append_images=rest, duration=milliseconds, loop=0, quality=quality, method=2
-    )
+    first.save(stream, "WEBP", save_all=True, append_images=rest, duration=milliseconds, loop=0, quality=quality, method=2)
     return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode()
 
 

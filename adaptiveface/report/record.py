@@ -73,15 +73,26 @@ class RunRecord:
             parameters = text if isinstance(text, Parameters) else Parameters.from_json(str(text or "{}"))
         reasons = getattr(result, "reasons", None)
         return cls(
-            np.arange(count), result.vertices, result.rigid, np.asarray(result.tracked, bool),
+            np.arange(count),
+            result.vertices,
+            result.rigid,
+            np.asarray(result.tracked, bool),
             clean_times(result.timestamps).seconds,
-            result.coefficients, result.coefficients_initial, result.corrective_updates, result.sample_state,
-            result.stage_ms, tuple(str(name) for name in result.stage_names),
-            getattr(result, "anchor_distance", unknown), getattr(result, "adaptive_distance", unknown),
-            tuple(map(str, reasons)) if reasons is not None else ("",) * count, parameters,
-            bool(getattr(result, "colour_only", False)), getattr(result, "skipped", None),
-            getattr(result, "held_out", None), tuple(getattr(result, "held_out_regions", ())),
-        )  # fmt: skip
+            result.coefficients,
+            result.coefficients_initial,
+            result.corrective_updates,
+            result.sample_state,
+            result.stage_ms,
+            tuple(str(name) for name in result.stage_names),
+            getattr(result, "anchor_distance", unknown),
+            getattr(result, "adaptive_distance", unknown),
+            tuple(map(str, reasons)) if reasons is not None else ("",) * count,
+            parameters,
+            bool(getattr(result, "colour_only", False)),
+            getattr(result, "skipped", None),
+            getattr(result, "held_out", None),
+            tuple(getattr(result, "held_out_regions", ())),
+        )
 
     @classmethod
     def _of_frames(cls, frames, parameters: Parameters | None) -> RunRecord:
@@ -93,12 +104,22 @@ class RunRecord:
             return np.array([getattr(frame, name) for frame in frames], kind)
 
         return cls(
-            column("index", int), column("vertices", np.float32), column("rigid"), column("tracked", bool),
-            clean_times(column("timestamp")).seconds, column("coefficients"), column("coefficients_initial"),
-            column("corrective_updates", int), column("sample_state", int), np.array(stage_ms), STAGE_NAMES,
-            column("anchor_distance"), column("adaptive_distance"), tuple(frame.reason for frame in frames),
+            column("index", int),
+            column("vertices", np.float32),
+            column("rigid"),
+            column("tracked", bool),
+            clean_times(column("timestamp")).seconds,
+            column("coefficients"),
+            column("coefficients_initial"),
+            column("corrective_updates", int),
+            column("sample_state", int),
+            np.array(stage_ms),
+            STAGE_NAMES,
+            column("anchor_distance"),
+            column("adaptive_distance"),
+            tuple(frame.reason for frame in frames),
             parameters or Parameters(),
-        )  # fmt: skip
+        )
 
     @property
     def doubt(self) -> str:

@@ -52,8 +52,9 @@ def _faces(context: Context, character: Character, count: int = 3) -> str:
     with_correctives = (
         "; last, with the part of the final mesh that the blendshapes cannot express (v4 - v1) carried over by "
         "deformation transfer, which section 8 of the paper proposes"
-        if character.shares_topology(actor.triangles) else ""
-    )  # fmt: skip
+        if character.shares_topology(actor.triangles)
+        else ""
+    )
     return (
         f'<h3>Frames where the two differ, on the {page.escape(character.name)}</h3><p class="soft">As in the paper\'s '
         f"figure 8: the final mesh of the actor, the initial coefficients, the re-solved ones{with_correctives}.</p>"
@@ -88,7 +89,7 @@ def _errors(known: KnownCoefficients | None) -> str:
         f"expressions) of the re-solved coefficients is {change} than that of the initial ones: {resolved:.3f} instead of "
         f"{initial:.3f}; {better} of {len(known.names)} expressions come out better. The plain fit is the paper's re-solve; "
         "ours prefers few expressions.</p>"
-        f'{page.table(("coefficients", "rms error"), rows, strong=(2,))}'
+        f"{page.table(('coefficients', 'rms error'), rows, strong=(2,))}"
         f'<div class="chart">{charts.coefficient_errors(known)}</div>'
         f'<div class="chart">{charts.known_curves(known)}</div>'
     )
@@ -106,6 +107,6 @@ def _smoothing(context: Context, still_frames: int) -> str:
         "<h3>Smoothing: jitter against lag</h3><p>Jitter: standard deviation of the re-solved coefficients over the "
         f"{len(still)} frames of the still face at the beginning. Lag: how much later half of a step is passed. Overshoot: "
         "by how much of its height the step is exceeded.</p>"
-        f'{page.table(("filter", "jitter", "lag", "overshoot"), rows)}'
+        f"{page.table(('filter', 'jitter', 'lag', 'overshoot'), rows)}"
         f'<div class="chart">{charts.step_responses(fps)}</div>'
     )

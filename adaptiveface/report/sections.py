@@ -74,9 +74,7 @@ def losses(context: Context) -> str:
     record = context.record
     if record.tracked.all():
         return "<p>No frame was skipped or lost.</p>"
-    reasons = Counter(
-        reason or "not tracked" for reason, kept in zip(record.reasons, record.tracked, strict=True) if not kept
-    )
+    reasons = Counter(reason or "not tracked" for reason, kept in zip(record.reasons, record.tracked, strict=True) if not kept)
     text = "; ".join(f"{count} × {escape(reason)}" for reason, count in reasons.most_common(6))
     return f"<p><b>{(~record.tracked).sum()} of {len(record)} frames were skipped or lost:</b> {text}.</p>"
 

@@ -27,11 +27,7 @@ _BY_KEY = {name.lower(): name for name in ARKIT_NAMES}
 _BY_KEY |= {name.lower().replace("left", "l"): name for name in ARKIT_NAMES if name.endswith("Left")}
 _BY_KEY |= {name.lower().replace("right", "r"): name for name in ARKIT_NAMES if name.endswith("Right")}
 # ICT-FaceKit and others split three shapes that ARKit does not: their halves are driven by the whole.
-_BY_KEY |= {
-    whole.lower() + side: whole
-    for whole in ("browInnerUp", "cheekPuff")
-    for side in ("l", "r", "left", "right")
-}
+_BY_KEY |= {whole.lower() + side: whole for whole in ("browInnerUp", "cheekPuff") for side in ("l", "r", "left", "right")}
 
 
 def canonical_name(name: str) -> str | None:
@@ -62,8 +58,9 @@ class ArkitWeights:
         count = len(self.names)
         gram = self.matrix @ self.matrix.T + 1e-9 * np.eye(count)  # unknown names have zero rows and stay at zero
         lower, upper = np.zeros(count), np.ones(count)
-        return np.array([bounded_least_squares(gram, self.matrix @ row, lower, upper, sweeps=5000, tolerance=1e-10)
-                         for row in curves]).reshape(len(curves), count)  # fmt: skip
+        return np.array(
+            [bounded_least_squares(gram, self.matrix @ row, lower, upper, sweeps=5000, tolerance=1e-10) for row in curves]
+        ).reshape(len(curves), count)
 
 
 def arkit_weights(names: Sequence[str], model: FaceModel | None = None) -> ArkitWeights:

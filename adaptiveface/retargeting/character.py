@@ -112,10 +112,13 @@ class Character:
             raise FileFormatError(f"{path}: displacements beyond {32767 * STEP_MM:g} mm cannot be stored")
         small = np.uint16 if len(self.neutral) <= 65536 else np.uint32
         arrays = dict(
-            neutral=self.neutral.astype(np.float32), triangles=self.triangles.astype(small),
-            moving=moving.astype(small), expressions=steps.astype(np.int16),
-            expression_names=np.array(self.expression_names), skin=np.array(self.skin, np.uint32),
-        )  # fmt: skip
+            neutral=self.neutral.astype(np.float32),
+            triangles=self.triangles.astype(small),
+            moving=moving.astype(small),
+            expressions=steps.astype(np.int16),
+            expression_names=np.array(self.expression_names),
+            skin=np.array(self.skin, np.uint32),
+        )
         if self.mix is not None:
             arrays["mix"] = self.mix.astype(np.float32)
         if self.colours is not None:
@@ -138,8 +141,16 @@ def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Char
     if skin > n:
         raise FileFormatError(f"{path}: 'skin' = {skin}, but there are {n} vertices")
     names = tuple(str(text) for text in data["expression_names"])
-    return Character(name or Path(path).stem, data["neutral"].astype(float), data["triangles"].astype(np.int32), names,
-                     expressions, data.get("colours"), skin, mix=data.get("mix"))  # fmt: skip
+    return Character(
+        name or Path(path).stem,
+        data["neutral"].astype(float),
+        data["triangles"].astype(np.int32),
+        names,
+        expressions,
+        data.get("colours"),
+        skin,
+        mix=data.get("mix"),
+    )
 
 
 def load_character(source: str | os.PathLike, unit: float | None = None) -> Character:
@@ -179,8 +190,7 @@ def is_gltf(source: str | os.PathLike) -> bool:
 def average_character(model: FaceModel | None = None) -> Character:
     """The mean head of a face model with its expression units: the plainest character."""
     model = embedded_face_model() if model is None else model
-    return Character("average", model.mean, model.triangles, model.expression_names, model.expressions,
-                     skin=len(model.mean))  # fmt: skip
+    return Character("average", model.mean, model.triangles, model.expression_names, model.expressions, skin=len(model.mean))
 
 
 def make_character(

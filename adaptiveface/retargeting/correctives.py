@@ -41,9 +41,7 @@ def transferred_correctives(
     return out
 
 
-def character_correctives(
-    result: Result, actor: Actor, character: Character, coefficients: str = "resolved"
-) -> np.ndarray:
+def character_correctives(result: Result, actor: Actor, character: Character, coefficients: str = "resolved") -> np.ndarray:
     """(F, V, 3) mm for all V vertices of a character (zero beyond its skin), all in memory; see :func:`carried_correctives`.
 
     ``coefficients``: those that drive the character, "resolved" or "initial" (v4 - v1 in the paper's sense). Raises

@@ -99,8 +99,9 @@ def face_rig(file: GltfContainer) -> FaceRig:
     _add_vrm(file, expressions, notes, counts, empty)
     if not any(expression.driven for expression in expressions.values()):
         some = ", ".join(list(dict.fromkeys(name for mesh in counts for name in names[mesh]))[:8])[:200]
-        raise file.error("no morph target has an ARKit name such as jawOpen, and no VRM preset such as aa is there "
-                         f"(targets: {some})")  # fmt: skip
+        raise file.error(
+            f"no morph target has an ARKit name such as jawOpen, and no VRM preset such as aa is there (targets: {some})"
+        )
     return FaceRig(list(expressions.values()), counts, list(notes), empty)
 
 
@@ -125,9 +126,7 @@ def _moves_nothing(file: GltfContainer, mesh: int, target: int) -> bool:
     return True
 
 
-def _add_vrm(
-    file: GltfContainer, expressions: dict[str, Expression], notes: dict, counts: dict[int, int], empty: set
-) -> None:
+def _add_vrm(file: GltfContainer, expressions: dict[str, Expression], notes: dict, counts: dict[int, int], empty: set) -> None:
     """VRM's expressions: perfect sync by name, then presets for what no ARKit shape shows."""
     found = vrm_expressions(file)
     shown = (e.row for e in expressions.values() if not e.binds.keys() <= empty)
@@ -143,8 +142,7 @@ def _add_vrm(
     if not found:  # VRoid Studio's targets in a file without its VRM part
         found = [(e.name, preset_name(e.name), e.binds) for e in expressions.values() if e.name.startswith("Fcl_")]
     presets = {preset: (name, _valid(binds, counts)) for name, preset, binds in reversed(found) if preset}
-    presets = {preset: entry for preset, entry in presets.items()
-               if entry[1] and not covered[preset_row(preset) > 0].any()}  # fmt: skip
+    presets = {preset: entry for preset, entry in presets.items() if entry[1] and not covered[preset_row(preset) > 0].any()}
     halves = {"blinkLeft", "blinkRight"} & presets.keys()
     if "blink" in presets and halves:
         left = ["blink"] if len(halves) == 2 else sorted(halves)
@@ -157,8 +155,11 @@ def _add_vrm(
 
 
 def _valid(binds: dict[tuple[int, int], float], counts: dict[int, int]) -> dict[tuple[int, int], float]:
-    return {(mesh, target): weight for (mesh, target), weight in binds.items()
-            if 0 <= target < counts.get(mesh, 0) and np.isfinite(weight) and abs(weight) <= 10}  # fmt: skip
+    return {
+        (mesh, target): weight
+        for (mesh, target), weight in binds.items()
+        if 0 <= target < counts.get(mesh, 0) and np.isfinite(weight) and abs(weight) <= 10
+    }
 
 
 def target_names(file: GltfContainer, mesh: dict) -> list[str]:

@@ -8,11 +8,46 @@ from .gltf_container import GltfContainer, extensions
 from .gltf_nodes import Nodes
 
 #: Words in bone names that say which rig they come from, not which bone they are.
-_RIG = {"mixamorig", "j", "bip", "adj", "c", "cc", "base", "def", "org", "valve", "biped", "armature", "bone", "jnt", "joint",
-        "jt", "b", "m", "mid", "center", "x", "bind", "skin", "rig", "character", "avatar", "sk", "bn", "facial"}  # fmt: skip
+_RIG = {
+    "mixamorig",
+    "j",
+    "bip",
+    "adj",
+    "c",
+    "cc",
+    "base",
+    "def",
+    "org",
+    "valve",
+    "biped",
+    "armature",
+    "bone",
+    "jnt",
+    "joint",
+    "jt",
+    "b",
+    "m",
+    "mid",
+    "center",
+    "x",
+    "bind",
+    "skin",
+    "rig",
+    "character",
+    "avatar",
+    "sk",
+    "bn",
+    "facial",
+}
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
-_JOINED = {"lefteye": "left eye", "righteye": "right eye", "eyeleft": "left eye", "eyeright": "right eye",
-           "leye": "left eye", "reye": "right eye"}  # fmt: skip
+_JOINED = {
+    "lefteye": "left eye",
+    "righteye": "right eye",
+    "eyeleft": "left eye",
+    "eyeright": "right eye",
+    "leye": "left eye",
+    "reye": "right eye",
+}
 #: MikuMikuDance's bones.
 _JAPANESE = {"頭": {"head"}, "首": {"neck"}, "左目": {"left", "eye"}, "右目": {"right", "eye"}}
 _EYES = ({"eye"}, {"eyeball"}, {"face", "eye"})
@@ -78,7 +113,7 @@ def _words(name: str) -> set[str]:
 
 
 def find_eyes(nodes: Nodes, candidates: set[int]) -> dict[str, int]:
-    """"left eye" and "right eye" among nodes that are no bones, by their names."""
+    """ "left eye" and "right eye" among nodes that are no bones, by their names."""
     found: dict[str, int] = {}
     for number in sorted(candidates):
         words = _words(nodes.name(number))

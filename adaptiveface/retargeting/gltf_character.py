@@ -97,10 +97,16 @@ def open_face(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> OpenFa
     neutral *= turn
     shapes *= turn
     character = Character(
-        file.path.stem, neutral, triangles, tuple(e.name for e in rig.expressions), shapes, colours,
+        file.path.stem,
+        neutral,
+        triangles,
+        tuple(e.name for e in rig.expressions),
+        shapes,
+        colours,
         notes=(*rig.notes, *size_note(file.path, float(np.ptp(neutral[:, 1])))),
-        mix=np.array([e.row for e in rig.expressions]), parts=rig.parts,
-    )  # fmt: skip
+        mix=np.array([e.row for e in rig.expressions]),
+        parts=rig.parts,
+    )
     head = {piece.node for piece in pieces}
     return OpenFace(character, tuple(notes), head, head == everything, middle, holders.eyes, holders.carrier())
 

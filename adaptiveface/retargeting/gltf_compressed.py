@@ -21,8 +21,16 @@ DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _PIP = "python -m pip install 'adaptiveface[avatars]'"
 #: Extensions that change nothing of what is read here; a mesh that needs another one stays closed.
-_HARMLESS = {"KHR_mesh_quantization", "KHR_texture_basisu", "KHR_texture_transform", "EXT_texture_webp",
-             "EXT_texture_avif", "VRM", "KHR_lights_punctual", "KHR_animation_pointer"}  # fmt: skip
+_HARMLESS = {
+    "KHR_mesh_quantization",
+    "KHR_texture_basisu",
+    "KHR_texture_transform",
+    "EXT_texture_webp",
+    "EXT_texture_avif",
+    "VRM",
+    "KHR_lights_punctual",
+    "KHR_animation_pointer",
+}
 _HARMLESS_STARTS = ("KHR_materials_", "VRMC_", "EXT_materials_", "ADOBE_materials_")
 
 

@@ -56,8 +56,7 @@ class GltfContainer:
             raise self.error("its JSON is nested too deeply") from None
         except MemoryError:
             raise self.error("needs more memory than there is") from None
-        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration,
-                struct.error) as problem:  # fmt: skip
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration, struct.error) as problem:
             text = " ".join(str(problem)[:120].split()) or type(problem).__name__
             raise self.error(f"malformed glTF ({type(problem).__name__}: {text})") from None
         except OSError as problem:

@@ -54,11 +54,21 @@ class Piece:
         """The piece without the vertices that are not ``chosen`` (V,), and without the triangles that touch them."""
         place = np.cumsum(chosen) - 1
         triangles = place[self.triangles[chosen[self.triangles].all(axis=1)]].astype(np.int32)
-        part = {name: None if (rows := getattr(self, name)) is None or rows.ndim < 2 else rows[chosen]
-                for name in ("vertices", "colours", "joints", "shares")}  # fmt: skip
+        part = {
+            name: None if (rows := getattr(self, name)) is None or rows.ndim < 2 else rows[chosen]
+            for name in ("vertices", "colours", "joints", "shares")
+        }
         linear = self.linear if self.linear.ndim == 2 else self.linear[chosen]
-        return Piece(self.node, self.mesh, self.primitive, linear=linear, triangles=triangles, kept=self.kept[chosen],
-                     count=self.count, **part)  # fmt: skip
+        return Piece(
+            self.node,
+            self.mesh,
+            self.primitive,
+            linear=linear,
+            triangles=triangles,
+            kept=self.kept[chosen],
+            count=self.count,
+            **part,
+        )
 
 
 def read_pieces(file: GltfFile, nodes: Nodes) -> list[Piece]:
@@ -105,9 +115,7 @@ def _piece(file: GltfFile, nodes: Nodes, number: int, primitive: dict) -> Piece:
     if np.median(np.linalg.det(linear)) < 0:  # a mirrored node turns triangles inside out
         triangles = triangles[:, ::-1]
     colours = _srgb(attribute("COLOR_0", count)[:, :3]) if "COLOR_0" in primitive["attributes"] else None
-    return Piece(
-        number, node["mesh"], primitive, vertices, linear, triangles, colours, joints, shares, np.arange(count), count
-    )
+    return Piece(number, node["mesh"], primitive, vertices, linear, triangles, colours, joints, shares, np.arange(count), count)
 
 
 def _skinned(file: GltfFile, nodes: Nodes, skin, slots: np.ndarray, shares: np.ndarray):

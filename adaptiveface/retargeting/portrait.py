@@ -17,8 +17,14 @@ _LIGHT = Light(ambient=0.34, head=0.40, key=0.36, specular=0.10)
 
 
 def portrait(
-    character: Character, vertices: np.ndarray, size: int = 480, rotation: np.ndarray | None = None, yaw: float = 0.0,
-    rays: int = 2, background: tuple[int, int, int] = (255, 255, 255), zoom: float = 1.0,
+    character: Character,
+    vertices: np.ndarray,
+    size: int = 480,
+    rotation: np.ndarray | None = None,
+    yaw: float = 0.0,
+    rays: int = 2,
+    background: tuple[int, int, int] = (255, 255, 255),
+    zoom: float = 1.0,
 ) -> np.ndarray:
     """(size, size, 3) uint8: ``vertices`` (V, 3) of a character's head frame, seen from the front.
 

@@ -23,9 +23,14 @@ class SparseResolve:
     """Re-solves coefficients of ``names`` (A,) for one actor; ``sparsity`` 0 is the plain bounded fit."""
 
     def __init__(
-        self, actor: Actor, names: Sequence[str], sparsity: float = SPARSITY, ridge: float = RIDGE, lower: float = 0.0,
+        self,
+        actor: Actor,
+        names: Sequence[str],
+        sparsity: float = SPARSITY,
+        ridge: float = RIDGE,
+        lower: float = 0.0,
         upper: float = 1.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         missing = [name for name in names if name not in actor.expression_names]
         if missing:
             raise FileFormatError(f"the actor lacks the expressions {', '.join(missing)[:200]}")

@@ -117,8 +117,7 @@ def retarget(
         return _arkit_performance(result, actor).smoothed(smoothing)
     values = driving_coefficients(result, coefficients, actor)
     table = arkit_weights(result.expression_names)
-    performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float),
-                              table.unknown)  # fmt: skip
+    performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float), table.unknown)
     return performance.smoothed(smoothing)
 
 

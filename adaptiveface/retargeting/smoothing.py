@@ -112,8 +112,14 @@ def smoothing_costs(still: np.ndarray, fps: float = 30.0) -> tuple[SmoothingCost
     rows = [SmoothingCost("none", jitter(still), 0.0, 0.0)]
     for name, smoothing in COMPARED.items():
         out = step_response(smoothing.apply, fps)[2]
-        rows.append(SmoothingCost(name, jitter(smoothing.apply(still, times)), step_lag(smoothing.apply, fps=fps),
-                                  max(float(out.max()) - 1.0, 0.0)))  # fmt: skip
+        rows.append(
+            SmoothingCost(
+                name,
+                jitter(smoothing.apply(still, times)),
+                step_lag(smoothing.apply, fps=fps),
+                max(float(out.max()) - 1.0, 0.0),
+            )
+        )
     return tuple(rows)
 
 

@@ -41,25 +41,46 @@ PRESETS: dict[str, dict[str, float]] = {
 }
 #: VRM 1.0 preset -> its name in VRM 0.x, as UniVRM writes it; "surprised" is new in 1.0.
 VRM0_NAMES: dict[str, str] = {
-    "aa": "A", "ih": "I", "ou": "U", "ee": "E", "oh": "O", "blink": "Blink", "blinkLeft": "Blink_L",
-    "blinkRight": "Blink_R", "happy": "Joy", "angry": "Angry", "sad": "Sorrow", "relaxed": "Fun", "lookUp": "LookUp",
-    "lookDown": "LookDown", "lookLeft": "LookLeft", "lookRight": "LookRight",
-}  # fmt: skip
+    "aa": "A",
+    "ih": "I",
+    "ou": "U",
+    "ee": "E",
+    "oh": "O",
+    "blink": "Blink",
+    "blinkLeft": "Blink_L",
+    "blinkRight": "Blink_R",
+    "happy": "Joy",
+    "angry": "Angry",
+    "sad": "Sorrow",
+    "relaxed": "Fun",
+    "lookUp": "LookUp",
+    "lookDown": "LookDown",
+    "lookLeft": "LookLeft",
+    "lookRight": "LookRight",
+}
 # VRoid Studio's morph targets of the same meaning, for files that have lost their VRM part on the way.
 _VROID = {
-    "aa": "Fcl_MTH_A", "ih": "Fcl_MTH_I", "ou": "Fcl_MTH_U", "ee": "Fcl_MTH_E", "oh": "Fcl_MTH_O",
-    "blink": "Fcl_EYE_Close", "blinkLeft": "Fcl_EYE_Close_L", "blinkRight": "Fcl_EYE_Close_R", "happy": "Fcl_ALL_Joy",
-    "angry": "Fcl_ALL_Angry", "sad": "Fcl_ALL_Sorrow", "relaxed": "Fcl_ALL_Fun", "surprised": "Fcl_ALL_Surprised",
-}  # fmt: skip
+    "aa": "Fcl_MTH_A",
+    "ih": "Fcl_MTH_I",
+    "ou": "Fcl_MTH_U",
+    "ee": "Fcl_MTH_E",
+    "oh": "Fcl_MTH_O",
+    "blink": "Fcl_EYE_Close",
+    "blinkLeft": "Fcl_EYE_Close_L",
+    "blinkRight": "Fcl_EYE_Close_R",
+    "happy": "Fcl_ALL_Joy",
+    "angry": "Fcl_ALL_Angry",
+    "sad": "Fcl_ALL_Sorrow",
+    "relaxed": "Fcl_ALL_Fun",
+    "surprised": "Fcl_ALL_Surprised",
+}
 
 
 def _key(name: str) -> str:
     return "".join(c for c in name.lower() if c.isalnum())
 
 
-_BY_KEY = {
-    _key(name): preset for names in ({p: p for p in PRESETS}, VRM0_NAMES, _VROID) for preset, name in names.items()
-}
+_BY_KEY = {_key(name): preset for names in ({p: p for p in PRESETS}, VRM0_NAMES, _VROID) for preset, name in names.items()}
 
 
 def preset_name(name: str) -> str | None:

@@ -92,6 +92,12 @@ def live_frame(raw: RawFrame) -> LiveFrame:
     colour = None if raw.colour is None else np.array(raw.colour, np.uint8)
     timestamp = float(raw.timestamp) if math.isfinite(raw.timestamp) else time.perf_counter()
     return LiveFrame(
-        depth, raw.camera, colour, 0, timestamp, raw.features,
-        host_timestamp=time.perf_counter(), sequence=int(raw.sequence),
-    )  # fmt: skip
+        depth,
+        raw.camera,
+        colour,
+        0,
+        timestamp,
+        raw.features,
+        host_timestamp=time.perf_counter(),
+        sequence=int(raw.sequence),
+    )

@@ -41,9 +41,11 @@ PATIENCE_SECONDS = 20.0
 LONGEST_LINE, LONGEST_SIDE = 4096, 8192
 #: The kinds of messages, and what each one holds.
 _MESSAGES = {
-    "open": {"fps", "depth_scale", "camera"}, "frame": {"colour", "sequence", "timestamp"}, "none": set(),
+    "open": {"fps", "depth_scale", "camera"},
+    "frame": {"colour", "sequence", "timestamp"},
+    "none": set(),
     "error": {"error", "text"},
-}  # fmt: skip
+}
 _ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind, type)}
 
 
@@ -69,9 +71,13 @@ class FilePlayer:
         """Start the child and wait for what the file holds; raises the driver's errors, as this process's own."""
         apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
         self._child = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=_environment(),
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=_environment(),
             **apart,  # Ctrl-C is this process's affair
-        )  # fmt: skip
+        )
         opened = self._message()
         self.fps, self.depth_scale = opened["fps"], opened["depth_scale"]
         self.camera = Camera(**opened["camera"])

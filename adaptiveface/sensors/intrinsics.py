@@ -42,8 +42,9 @@ def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camer
     if content.get("depth_scale") is None:
         if depth_scale is None:
             state = "depth_scale = None" if "depth_scale" in content else "depth_scale is missing"
-            raise FileFormatError(f"{path}: {state}; it says how many units of the depth images are a metre, usually "
-                                  f"{USUAL_DEPTH_SCALES}")  # fmt: skip
+            raise FileFormatError(
+                f"{path}: {state}; it says how many units of the depth images are a metre, usually {USUAL_DEPTH_SCALES}"
+            )
         content["depth_scale"] = depth_scale
     if content.get("fps") is None:  # a video, which has a depth_scale given, brings its own
         content["fps"] = rate_of(path, None) if depth_scale is None else USUAL_FPS

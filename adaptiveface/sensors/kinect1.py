@@ -35,9 +35,17 @@ _CAMERA_ONLY, _MEDIUM, _RGB, _DEPTH_11_BIT, _REGISTERED = 2, 1, 0, 0, 4
 
 class _Mode(ctypes.Structure):
     _fields_ = [
-        ("reserved", c_uint32), ("resolution", c_int), ("format", c_int32), ("bytes", c_int32), ("width", c_int16),
-        ("height", c_int16), ("bits", c_int8), ("padding", c_int8), ("fps", c_int8), ("valid", c_int8),
-    ]  # fmt: skip
+        ("reserved", c_uint32),
+        ("resolution", c_int),
+        ("format", c_int32),
+        ("bytes", c_int32),
+        ("width", c_int16),
+        ("height", c_int16),
+        ("bits", c_int8),
+        ("padding", c_int8),
+        ("fps", c_int8),
+        ("valid", c_int8),
+    ]
 
 
 class _Interval(ctypes.Structure):
@@ -46,15 +54,26 @@ class _Interval(ctypes.Structure):
 
 _Callback = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_uint32)
 _SIGNATURES = {
-    "init": [POINTER(c_void_p), c_void_p], "shutdown": [c_void_p], "num_devices": [c_void_p],
-    "set_log_level": [c_void_p, c_int], "select_subdevices": [c_void_p, c_int],
-    "open_device": [c_void_p, POINTER(c_void_p), c_int], "close_device": [c_void_p],
-    "get_depth_mode_count": [], "get_depth_mode": [c_int], "find_video_mode": [c_int, c_int],
-    "set_depth_mode": [c_void_p, _Mode], "set_video_mode": [c_void_p, _Mode],
-    "set_depth_callback": [c_void_p, _Callback], "set_video_callback": [c_void_p, _Callback],
-    "start_depth": [c_void_p], "start_video": [c_void_p], "stop_depth": [c_void_p], "stop_video": [c_void_p],
+    "init": [POINTER(c_void_p), c_void_p],
+    "shutdown": [c_void_p],
+    "num_devices": [c_void_p],
+    "set_log_level": [c_void_p, c_int],
+    "select_subdevices": [c_void_p, c_int],
+    "open_device": [c_void_p, POINTER(c_void_p), c_int],
+    "close_device": [c_void_p],
+    "get_depth_mode_count": [],
+    "get_depth_mode": [c_int],
+    "find_video_mode": [c_int, c_int],
+    "set_depth_mode": [c_void_p, _Mode],
+    "set_video_mode": [c_void_p, _Mode],
+    "set_depth_callback": [c_void_p, _Callback],
+    "set_video_callback": [c_void_p, _Callback],
+    "start_depth": [c_void_p],
+    "start_video": [c_void_p],
+    "stop_depth": [c_void_p],
+    "stop_video": [c_void_p],
     "process_events_timeout": [c_void_p, POINTER(_Interval)],
-}  # fmt: skip
+}
 
 
 class _Library:
@@ -130,8 +149,9 @@ class Kinect1Driver:
         self._context = library.context()
         found = library.num_devices(self._context)
         if found <= self.index:
-            raise SensorNotFoundError(f"{self.name}: no such Kinect is connected (found: {max(found, 0)}); it needs its "
-                                      "power supply besides USB")  # fmt: skip
+            raise SensorNotFoundError(
+                f"{self.name}: no such Kinect is connected (found: {max(found, 0)}); it needs its power supply besides USB"
+            )
         device = c_void_p()
         if library.open_device(self._context, byref(device), self.index) < 0:
             raise SensorError(f"{self.name}: cannot be opened; is another program using it, or are its udev rules missing?")

@@ -176,8 +176,10 @@ class OpenNI2Driver:
         for mode, (kind, allowed) in zip(modes, formats.items(), strict=False):
             if mode.format not in allowed:
                 what = "depth" if kind == oni.DEPTH else "colour"
-                raise FileFormatError(f"{where}: {what} in the pixel format {mode.format} is not supported; "
-                                      "record depth in 1 mm or 0.1 mm and colour as RGB888")  # fmt: skip
+                raise FileFormatError(
+                    f"{where}: {what} in the pixel format {mode.format} is not supported; "
+                    "record depth in 1 mm or 0.1 mm and colour as RGB888"
+                )
         if len({(mode.width, mode.height) for mode in modes}) > 1:
             sizes = " and ".join(f"{mode.width} x {mode.height}" for mode in modes)
             raise FileFormatError(f"{where}: depth and colour of {sizes} pixels; record both in the same size")

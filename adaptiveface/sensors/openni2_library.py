@@ -77,9 +77,7 @@ class VideoMode(ctypes.Structure):
 class DeviceInfo(ctypes.Structure):
     """How the library names a device."""
 
-    _fields_ = [
-        ("uri", c_char * 256), ("vendor", c_char * 256), ("name", c_char * 256), ("usb", c_uint16 * 2)
-    ]  # fmt: skip
+    _fields_ = [("uri", c_char * 256), ("vendor", c_char * 256), ("name", c_char * 256), ("usb", c_uint16 * 2)]
 
 
 class _SensorInfo(ctypes.Structure):
@@ -90,10 +88,19 @@ class Frame(ctypes.Structure):
     """A frame in the library's memory, valid until it is released."""
 
     _fields_ = [
-        ("size", c_int), ("data", c_void_p), ("kind", c_int), ("timestamp", c_uint64), ("index", c_int),
-        ("width", c_int), ("height", c_int), ("mode", VideoMode), ("cropped", c_int), ("x", c_int), ("y", c_int),
+        ("size", c_int),
+        ("data", c_void_p),
+        ("kind", c_int),
+        ("timestamp", c_uint64),
+        ("index", c_int),
+        ("width", c_int),
+        ("height", c_int),
+        ("mode", VideoMode),
+        ("cropped", c_int),
+        ("x", c_int),
+        ("y", c_int),
         ("stride", c_int),
-    ]  # fmt: skip
+    ]
 
     def image(self) -> np.ndarray:
         """A copy in the size of the video mode: (H, W) uint16 depth or (H, W, 3) uint8; cropped borders are 0."""
@@ -111,26 +118,35 @@ class Frame(ctypes.Structure):
 
 
 _SIGNATURES = {  # name: argument types; all return a status, except those of _OTHER_RESULTS
-    "oniInitialize": [c_int], "oniGetExtendedError": [],
-    "oniGetDeviceList": [POINTER(POINTER(DeviceInfo)), POINTER(c_int)], "oniReleaseDeviceList": [POINTER(DeviceInfo)],
-    "oniDeviceOpen": [c_char_p, POINTER(c_void_p)], "oniDeviceClose": [c_void_p],
-    "oniDeviceGetInfo": [c_void_p, POINTER(DeviceInfo)], "oniDeviceGetSensorInfo": [c_void_p, c_int],
-    "oniDeviceSetProperty": [c_void_p, c_int, c_void_p, c_int], "oniDeviceIsPropertySupported": [c_void_p, c_int],
-    "oniDeviceIsImageRegistrationModeSupported": [c_void_p, c_int], "oniDeviceEnableDepthColorSync": [c_void_p],
-    "oniDeviceCreateStream": [c_void_p, c_int, POINTER(c_void_p)], "oniStreamDestroy": [c_void_p],
-    "oniStreamStart": [c_void_p], "oniStreamStop": [c_void_p], "oniStreamIsPropertySupported": [c_void_p, c_int],
+    "oniInitialize": [c_int],
+    "oniGetExtendedError": [],
+    "oniGetDeviceList": [POINTER(POINTER(DeviceInfo)), POINTER(c_int)],
+    "oniReleaseDeviceList": [POINTER(DeviceInfo)],
+    "oniDeviceOpen": [c_char_p, POINTER(c_void_p)],
+    "oniDeviceClose": [c_void_p],
+    "oniDeviceGetInfo": [c_void_p, POINTER(DeviceInfo)],
+    "oniDeviceGetSensorInfo": [c_void_p, c_int],
+    "oniDeviceSetProperty": [c_void_p, c_int, c_void_p, c_int],
+    "oniDeviceIsPropertySupported": [c_void_p, c_int],
+    "oniDeviceIsImageRegistrationModeSupported": [c_void_p, c_int],
+    "oniDeviceEnableDepthColorSync": [c_void_p],
+    "oniDeviceCreateStream": [c_void_p, c_int, POINTER(c_void_p)],
+    "oniStreamDestroy": [c_void_p],
+    "oniStreamStart": [c_void_p],
+    "oniStreamStop": [c_void_p],
+    "oniStreamIsPropertySupported": [c_void_p, c_int],
     "oniStreamGetProperty": [c_void_p, c_int, c_void_p, POINTER(c_int)],
     "oniStreamSetProperty": [c_void_p, c_int, c_void_p, c_int],
     "oniWaitForAnyStream": [POINTER(c_void_p), c_int, POINTER(c_int), c_int],
-    "oniStreamReadFrame": [c_void_p, POINTER(POINTER(Frame))], "oniFrameRelease": [POINTER(Frame)],
-}  # fmt: skip
+    "oniStreamReadFrame": [c_void_p, POINTER(POINTER(Frame))],
+    "oniFrameRelease": [POINTER(Frame)],
+}
 _OTHER_RESULTS = {
     **dict.fromkeys(("oniReleaseDeviceList", "oniStreamDestroy", "oniStreamStop", "oniFrameRelease")),
-    "oniGetExtendedError": c_char_p, "oniDeviceGetSensorInfo": POINTER(_SensorInfo),
-}  # fmt: skip
-_FLAGS = (
-    "oniDeviceIsPropertySupported", "oniDeviceIsImageRegistrationModeSupported", "oniStreamIsPropertySupported"
-)  # fmt: skip
+    "oniGetExtendedError": c_char_p,
+    "oniDeviceGetSensorInfo": POINTER(_SensorInfo),
+}
+_FLAGS = ("oniDeviceIsPropertySupported", "oniDeviceIsImageRegistrationModeSupported", "oniStreamIsPropertySupported")
 
 
 class OpenNI2Library:

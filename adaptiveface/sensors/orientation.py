@@ -74,9 +74,7 @@ def turned(frame: RgbdFrame, quarters: int) -> RgbdFrame:
 def turned_camera(camera: Camera, quarters: int) -> Camera:
     """The camera whose pictures are those of ``camera`` turned anticlockwise by ``quarters`` of a full turn."""
     for _ in range(quarters % 4):
-        camera = Camera(
-            camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.width - 1.0 - camera.cx
-        )
+        camera = Camera(camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.width - 1.0 - camera.cx)
     return camera
 
 

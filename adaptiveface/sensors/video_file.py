@@ -41,9 +41,7 @@ class VideoFile:
 
     colour_only, has_features = True, False
 
-    def __init__(
-        self, path: str | os.PathLike, field_of_view: float | None = None, mirrored: bool = False
-    ) -> None:
+    def __init__(self, path: str | os.PathLike, field_of_view: float | None = None, mirrored: bool = False) -> None:
         self.path, self.name, self.mirrored = Path(path), Path(path).name, mirrored
         self._pictures: Iterator[tuple[int | None, np.ndarray]] | None = None
         self._found: tuple[int, np.ndarray] | None = None  # the frame decoded last

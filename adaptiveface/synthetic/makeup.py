@@ -32,7 +32,11 @@ class Makeup:
 
 
 def make_makeup(
-    rng: np.random.Generator, points: np.ndarray, normals: np.ndarray, landmarks: np.ndarray, lids: list[np.ndarray],
+    rng: np.random.Generator,
+    points: np.ndarray,
+    normals: np.ndarray,
+    landmarks: np.ndarray,
+    lids: list[np.ndarray],
     mouth: np.ndarray | None,
 ) -> Makeup:
     """Fields for one performer, all in the head frame, mm.

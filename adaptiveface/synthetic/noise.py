@@ -85,7 +85,7 @@ def _correlated(shape: tuple[int, int], sigma: float, rng: np.random.Generator) 
     pad = int(np.ceil(3 * sigma / coarse))
     white = rng.standard_normal((h + 2 * pad, w + 2 * pad), np.float32)
     kernel = cv2.getGaussianKernel(2 * pad + 1, sigma / coarse)
-    noise = cv2.sepFilter2D(white, -1, kernel, kernel)[pad: pad + h, pad: pad + w] / float((kernel**2).sum())
+    noise = cv2.sepFilter2D(white, -1, kernel, kernel)[pad : pad + h, pad : pad + w] / float((kernel**2).sum())
     if coarse > 1:
         noise = cv2.resize(noise, None, fx=coarse, fy=coarse, interpolation=cv2.INTER_CUBIC)
     return noise[: shape[0], : shape[1]]
@@ -97,7 +97,7 @@ def _masked_blur(depth: np.ndarray, sigma: float) -> np.ndarray:
     padded = np.pad(depth, 1, mode="edge")
     for dv in (-1, 0, 1):
         for du in (-1, 0, 1):
-            near = padded[1 + dv: 1 + dv + depth.shape[0], 1 + du: 1 + du + depth.shape[1]]
+            near = padded[1 + dv : 1 + dv + depth.shape[0], 1 + du : 1 + du + depth.shape[1]]
             bell = np.float32(np.exp(-0.5 * (du * du + dv * dv) / sigma**2))
             w = bell * (np.abs(near - depth) < 12.0)
             out += w * near

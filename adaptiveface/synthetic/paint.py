@@ -66,7 +66,7 @@ class Painter:
         # A lens spreads a point over about a pixel; without it, edges are jagged as no camera's are.
         image[v0:v1, u0:u1] = cv2.GaussianBlur(drawn, (3, 3), 0.55)
         du, dv = rng.integers(0, 64, 2)
-        grain = self._grain[dv: dv + camera.height, du: du + camera.width]
+        grain = self._grain[dv : dv + camera.height, du : du + camera.width]
         return cv2.add(image, grain, dtype=cv2.CV_8U)
 
     def _skin_albedo(self, fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

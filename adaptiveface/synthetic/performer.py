@@ -33,7 +33,12 @@ class Performer:
     """
 
     def __init__(
-        self, seed: int, model: FaceModel | None = None, *, detail: float = 1.1, variation: float = 1.0,
+        self,
+        seed: int,
+        model: FaceModel | None = None,
+        *,
+        detail: float = 1.1,
+        variation: float = 1.0,
         folds: bool = True,
     ) -> None:
         self.model = embedded_face_model() if model is None else model
@@ -63,7 +68,7 @@ class Performer:
         points = plain if eyes is None else np.concatenate([plain, eyes])
         points = points + (identity_detail(rng, points, detail) if detail > 0 else 0.0)
         self._control = points[: len(plain)]
-        self._place_eyes(points[len(plain):] if eyes is not None else None)
+        self._place_eyes(points[len(plain) :] if eyes is not None else None)
         self._units = personal_units(rng, plain, model.expressions, names, variation)
         self._bends = path_bends(rng, plain, self._units, 0.06 * variation)
         self._interactions = make_interactions(rng, plain, self._units, names, 1.4 * variation)

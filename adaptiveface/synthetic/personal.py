@@ -13,13 +13,22 @@ RIGID_REACH = 14.0
 
 #: Pairs of expression units that change each other when active together.
 INTERACTIONS = (
-    ("jawOpen", "mouthSmileLeft"), ("jawOpen", "mouthSmileRight"), ("jawOpen", "mouthPucker"),
+    ("jawOpen", "mouthSmileLeft"),
+    ("jawOpen", "mouthSmileRight"),
+    ("jawOpen", "mouthPucker"),
     ("jawOpen", "mouthFunnel"),
-    ("jawOpen", "mouthStretchLeft"), ("jawOpen", "mouthStretchRight"), ("cheekPuff", "mouthPucker"),
-    ("mouthSmileLeft", "mouthSmileRight"), ("browDownLeft", "browInnerUp"), ("browDownRight", "browInnerUp"),
-    ("mouthFrownLeft", "mouthShrugLower"), ("mouthFrownRight", "mouthShrugLower"),
-    ("noseSneerLeft", "mouthUpperUpLeft"), ("noseSneerRight", "mouthUpperUpRight"),
-    ("jawOpen", "jawLeft"), ("jawOpen", "jawRight"),
+    ("jawOpen", "mouthStretchLeft"),
+    ("jawOpen", "mouthStretchRight"),
+    ("cheekPuff", "mouthPucker"),
+    ("mouthSmileLeft", "mouthSmileRight"),
+    ("browDownLeft", "browInnerUp"),
+    ("browDownRight", "browInnerUp"),
+    ("mouthFrownLeft", "mouthShrugLower"),
+    ("mouthFrownRight", "mouthShrugLower"),
+    ("noseSneerLeft", "mouthUpperUpLeft"),
+    ("noseSneerRight", "mouthUpperUpRight"),
+    ("jawOpen", "jawLeft"),
+    ("jawOpen", "jawRight"),
 )
 
 

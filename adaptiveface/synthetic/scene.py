@@ -16,8 +16,13 @@ _MOUTH_RINGS = ((5.0, 1.1), (12.0, 1.1), (18.0, 0.7))
 # Rings from the neck to the shoulders: down (mm), widening in x, widening in z, and how much the body stays where it is
 # when the head turns.
 _TORSO_RINGS = (
-    (10.0, 1.0, 1.0, 0.2), (22.0, 1.05, 1.02, 0.5), (34.0, 1.3, 1.08, 0.8), (46.0, 2.1, 1.15, 1.0),
-    (60.0, 2.9, 1.2, 1.0), (85.0, 3.4, 1.25, 1.0), (240.0, 3.6, 1.3, 1.0),
+    (10.0, 1.0, 1.0, 0.2),
+    (22.0, 1.05, 1.02, 0.5),
+    (34.0, 1.3, 1.08, 0.8),
+    (46.0, 2.1, 1.15, 1.0),
+    (60.0, 2.9, 1.2, 1.0),
+    (85.0, 3.4, 1.25, 1.0),
+    (240.0, 3.6, 1.3, 1.0),
 )
 
 
@@ -130,7 +135,9 @@ def unit_sphere(rings: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
     a, b, c, d = (x.ravel() for x in (rows[:-1], following[:-1], rows[1:], following[1:]))
     north, south = np.full(segments, len(body)), np.full(segments, len(body) + 1)
     triangles = [
-        np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1),
-        np.stack([north, rows[0], following[0]], axis=1), np.stack([south, following[-1], rows[-1]], axis=1),
+        np.stack([a, c, b], axis=1),
+        np.stack([b, c, d], axis=1),
+        np.stack([north, rows[0], following[0]], axis=1),
+        np.stack([south, following[-1], rows[-1]], axis=1),
     ]
     return vertices, np.concatenate(triangles)

@@ -16,7 +16,12 @@ EMOTIONS = {
     "sadness": {"browInnerUp": 0.9, "browDown": 0.3, "mouthFrown": 0.8, "mouthShrugLower": 0.4, "eyeSquint": 0.2},
     "surprise": {"browInnerUp": 0.9, "browOuterUp": 0.9, "eyeWide": 0.9, "jawOpen": 0.5},
     "fear": {
-        "browInnerUp": 0.8, "browOuterUp": 0.4, "browDown": 0.4, "eyeWide": 0.8, "mouthStretch": 0.8, "jawOpen": 0.2,
+        "browInnerUp": 0.8,
+        "browOuterUp": 0.4,
+        "browDown": 0.4,
+        "eyeWide": 0.8,
+        "mouthStretch": 0.8,
+        "jawOpen": 0.2,
     },
     "anger": {"browDown": 1.0, "eyeSquint": 0.6, "mouthPress": 0.7, "noseSneer": 0.3, "jawForward": 0.2},
     "disgust": {"noseSneer": 0.9, "mouthUpperUp": 0.6, "mouthFrown": 0.4, "browDown": 0.4, "mouthLowerDown": 0.2},
@@ -36,10 +41,14 @@ GESTURES = {
     "chin": {"mouthShrugLower": 0.8, "mouthShrugUpper": 0.4},
 }
 VISEMES = {
-    "aa": {"jawOpen": 0.45, "mouthLowerDown": 0.2}, "oo": {"mouthPucker": 0.7, "jawOpen": 0.12},
-    "ee": {"mouthStretch": 0.5, "mouthSmile": 0.25, "jawOpen": 0.1}, "mm": {"mouthPress": 0.5, "mouthRollLower": 0.3},
-    "ff": {"mouthRollLower": 0.5, "mouthUpperUp": 0.3, "jawOpen": 0.06}, "oh": {"mouthFunnel": 0.6, "jawOpen": 0.3},
-    "th": {"mouthLowerDown": 0.4, "jawOpen": 0.15}, "sh": {"mouthFunnel": 0.7, "mouthPucker": 0.3},
+    "aa": {"jawOpen": 0.45, "mouthLowerDown": 0.2},
+    "oo": {"mouthPucker": 0.7, "jawOpen": 0.12},
+    "ee": {"mouthStretch": 0.5, "mouthSmile": 0.25, "jawOpen": 0.1},
+    "mm": {"mouthPress": 0.5, "mouthRollLower": 0.3},
+    "ff": {"mouthRollLower": 0.5, "mouthUpperUp": 0.3, "jawOpen": 0.06},
+    "oh": {"mouthFunnel": 0.6, "jawOpen": 0.3},
+    "th": {"mouthLowerDown": 0.4, "jawOpen": 0.15},
+    "sh": {"mouthFunnel": 0.7, "mouthPucker": 0.3},
 }
 
 

@@ -62,10 +62,22 @@ class SyntheticSensor:
     fps = 30.0
 
     def __init__(
-        self, seed: int = 0, noise: str = "structured-light", neutral_frames: int = 40, frames: int = 300,
-        repeats: int = 2, width: int = 640, height: int = 480, feature_noise: float = 0.5, *, colour: bool = True,
-        focal: float = 525.0, distance: float = 600.0, model: FaceModel | None = None,
-        performer: Performer | None = None, take: Take | None = None,
+        self,
+        seed: int = 0,
+        noise: str = "structured-light",
+        neutral_frames: int = 40,
+        frames: int = 300,
+        repeats: int = 2,
+        width: int = 640,
+        height: int = 480,
+        feature_noise: float = 0.5,
+        *,
+        colour: bool = True,
+        focal: float = 525.0,
+        distance: float = 600.0,
+        model: FaceModel | None = None,
+        performer: Performer | None = None,
+        take: Take | None = None,
     ) -> None:
         if noise not in DEPTH_SCALES:
             raise ParameterError(f"noise = {noise!r}: one of {', '.join(DEPTH_SCALES)} is expected")

@@ -90,10 +90,23 @@ class ColourTracker(FaceTracker):
         self.pose, self._x, self._v1 = pose, x, v1
         anchor, adaptive = self.model.distances(self._displacement(v2))
         return TrackedFrame(
-            frame.index, frame.timestamp, True, pose, v1, v2, v3, v4, x, coefficients, SampleState.IN_ANCHOR_SPACE,
-            self.model.updates, anchor_distance=anchor, adaptive_distance=adaptive, stage_ms=ms,
+            frame.index,
+            frame.timestamp,
+            True,
+            pose,
+            v1,
+            v2,
+            v3,
+            v4,
+            x,
+            coefficients,
+            SampleState.IN_ANCHOR_SPACE,
+            self.model.updates,
+            anchor_distance=anchor,
+            adaptive_distance=adaptive,
+            stage_ms=ms,
             held_out=self.held_out.measure(face, camera, pose, v4),
-        )  # fmt: skip
+        )
 
     def _observed(self, frame: RgbdFrame) -> RgbdFrame:
         """The frame at the reference focal length; its features are the landmarks where it has them, else the 40."""

@@ -12,6 +12,7 @@ from .feature_rows import reprojection_errors
 #: Features with depth from which a face's size is measured, and the distance beyond which a pair of them tells it, mm.
 MIN_LIFTED, FAR_APART = 12, 25.0
 
+
 def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.ndarray]:
     """Features with depth: (indices into the 40, points (f, 3) camera frame mm); depth is the median around the pixel."""
     indices, points = [], []

@@ -61,9 +61,7 @@ def _depth_jacobian(points, normals, turned, weights, basis, centre):
         jacobian[row, 0], jacobian[row, 1], jacobian[row, 2] = y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0
         jacobian[row, 3], jacobian[row, 4], jacobian[row, 5] = n0, n1, n2
         for k in range(a):
-            jacobian[row, 6 + k] = (
-                turned[i, 0] * basis[i, 0, k] + turned[i, 1] * basis[i, 1, k] + turned[i, 2] * basis[i, 2, k]
-            )
+            jacobian[row, 6 + k] = turned[i, 0] * basis[i, 0, k] + turned[i, 1] * basis[i, 1, k] + turned[i, 2] * basis[i, 2, k]
         row += 1
     return jacobian
 

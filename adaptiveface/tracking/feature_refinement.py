@@ -101,7 +101,7 @@ class FeatureRefinement:
         start, detected = features.pixels[seen] - homes, found.pixels[seen] - homes
         shift, variance = align_patches(
             images, *patches.arrays, seen, start, detected, precision, p.rounds, float(p.noise) ** 2
-        )  # fmt: skip
+        )
         pixels = features.pixels.copy()
         pixels[seen] = homes + shift
         return pixels, variance

@@ -33,9 +33,7 @@ def feature_rows(features: Features2D | None, camera: Camera, pose: np.ndarray) 
     selector[:, 0, 0] = selector[:, 1, 1] = 1.0
     selector[:, :, 2] = -features.pixels[index]
     projected = selector @ camera.matrix
-    return FeatureRows(
-        index, projected @ pose[:3, :3], projected @ pose[:3, 3], features.confidence[index].astype(float)
-    )
+    return FeatureRows(index, projected @ pose[:3, :3], projected @ pose[:3, 3], features.confidence[index].astype(float))
 
 
 def reprojection_errors(features: Features2D, camera: Camera, points: np.ndarray) -> np.ndarray:

@@ -172,9 +172,7 @@ class FaceTracker:
         if frame.features is None or frame.features.valid.sum() < 6:
             return True
         points = transform_points(pose, self.blendshapes.feature_points(self._x))
-        return bool(
-            np.median(reprojection_errors(frame.features, frame.camera, points)) < self.parameters.rigid.relocate
-        )
+        return bool(np.median(reprojection_errors(frame.features, frame.camera, points)) < self.parameters.rigid.relocate)
 
     def _crop(self, frame: RgbdFrame, pose: np.ndarray) -> DepthSurface | None:
         points = transform_points(pose, self._outline)

@@ -14,9 +14,7 @@ try:
     import anywidget  # noqa: F401
     import ipywidgets  # noqa: F401
 except ImportError:
-    raise MissingExtraError(
-        'the notebooks need more packages: python -m pip install "adaptiveface[notebooks]"'
-    ) from None
+    raise MissingExtraError('the notebooks need more packages: python -m pip install "adaptiveface[notebooks]"') from None
 
 from .charts import BarChart, GridChart, LiveChart
 from .face_view import FaceView
@@ -37,8 +35,31 @@ from .workbench import SeriesCache, Workbench, error_chart, figure_11
 threadpool_limits(limits=1, user_api="blas")
 
 __all__ = [
-    "BarChart", "CameraView", "FaceView", "GridChart", "LiveChart", "LiveView", "Measures", "ParameterPanel",
-    "Parameters", "Player", "Replay", "SeriesCache",
-    "Session", "Workbench", "colour_bar", "depth_distance", "error_chart", "fast", "figure_11", "load_session",
-    "Turntable", "on_main_thread", "plain", "prepare_rendering", "running_tasks", "strict", "verdict_of",
-]  # fmt: skip
+    "BarChart",
+    "CameraView",
+    "FaceView",
+    "GridChart",
+    "LiveChart",
+    "LiveView",
+    "Measures",
+    "ParameterPanel",
+    "Parameters",
+    "Player",
+    "Replay",
+    "SeriesCache",
+    "Session",
+    "Workbench",
+    "colour_bar",
+    "depth_distance",
+    "error_chart",
+    "fast",
+    "figure_11",
+    "load_session",
+    "Turntable",
+    "on_main_thread",
+    "plain",
+    "prepare_rendering",
+    "running_tasks",
+    "strict",
+    "verdict_of",
+]

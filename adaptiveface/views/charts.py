@@ -145,9 +145,7 @@ class GridChart:
 
     def draw(self) -> None:
         """The map as it is now, as a picture."""
-        figure = Figure(
-            figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, facecolor="white", layout="constrained"
-        )
+        figure = Figure(figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, facecolor="white", layout="constrained")
         canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
         low, high = self.limits
         image = axis.imshow(self.values, vmin=low, vmax=high, cmap="viridis", aspect="auto")

@@ -21,17 +21,23 @@ class FaceView(HeadView):
     """
 
     def __init__(
-        self, vertices: np.ndarray, triangles: np.ndarray, titles: Sequence[str] = ("",), limits=(0.0, 5.0),
-        label: str = "", pane: tuple[int, int] = (380, 420), centre: np.ndarray | None = None,
-        shape: tuple[int, int] | None = None, colourmap: str = COLOURMAP, radius: float = 138.0,
-    ) -> None:  # fmt: skip
+        self,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        titles: Sequence[str] = ("",),
+        limits=(0.0, 5.0),
+        label: str = "",
+        pane: tuple[int, int] = (380, 420),
+        centre: np.ndarray | None = None,
+        shape: tuple[int, int] | None = None,
+        colourmap: str = COLOURMAP,
+        radius: float = 138.0,
+    ) -> None:
         pyvista = prepare_rendering()
         rows, columns = shape or (1, len(titles))
         size = (pane[0] * columns, pane[1] * rows)
         super().__init__(vertices, triangles, len(titles), size, limits, colourmap, centre, radius)
-        self.plotter = pyvista.Plotter(
-            off_screen=True, notebook=False, shape=(rows, columns), window_size=size, border=False
-        )
+        self.plotter = pyvista.Plotter(off_screen=True, notebook=False, shape=(rows, columns), window_size=size, border=False)
         faces = np.column_stack([np.full(len(triangles), 3), triangles]).astype(np.int64)
         self._meshes, self._actors, self._clouds = [], [], {}
         for number, title in enumerate(titles):
@@ -99,9 +105,15 @@ class FaceView(HeadView):
         cloud["lit"] = colours
         self.plotter.subplot(*divmod(pane, self.plotter.shape[1]))
         self.plotter.add_mesh(
-            cloud, scalars="lit", rgb=True, style="points", point_size=size, lighting=False, show_scalar_bar=False,
+            cloud,
+            scalars="lit",
+            rgb=True,
+            style="points",
+            point_size=size,
+            lighting=False,
+            show_scalar_bar=False,
             reset_camera=False,
-        )  # fmt: skip
+        )
         self._clouds[pane] = cloud
 
     def _aim(self) -> None:

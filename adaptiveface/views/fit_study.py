@@ -66,9 +66,7 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
     planes = matches.normals[used] @ rotation
     basis = actor.blendshapes[:, keep][:, used]
     depth_rows = np.einsum("nd,and->na", planes, basis)
-    now = np.tensordot(result.coefficients_initial, actor.blendshapes[: len(result.coefficients_initial)], axes=1)[
-        keep
-    ][used]
+    now = np.tensordot(result.coefficients_initial, actor.blendshapes[: len(result.coefficients_initial)], axes=1)[keep][used]
     depth_right = np.einsum("nd,nd->n", planes, now) - matches.distances[used]
     # Eq. (2): [1 0 -u; 0 1 -v] P (R (f0 + F x) + t) for every feature seen.
     rows = feature_rows(frame.features, frame.camera, result.rigid)
@@ -103,9 +101,7 @@ def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], tit
 def coefficient_chart(session: Session, chosen: Sequence[int]):
     """The chart of some expressions' fitted coefficients over the performance, and its source for a workbench."""
     names = [session.actor.expression_names[k] for k in chosen]
-    chart = LiveChart(
-        names, (0, len(session.frames) - 1), (-0.05, 1.05), "frame", "coefficient", "the liveliest coefficients"
-    )
+    chart = LiveChart(names, (0, len(session.frames) - 1), (-0.05, 1.05), "frame", "coefficient", "the liveliest coefficients")
 
     def lines(replay: Replay) -> dict[str, np.ndarray]:
         out = {name: np.full(len(replay.frames), np.nan) for name in names}

@@ -32,9 +32,16 @@ class HeadView:
     """
 
     def __init__(
-        self, vertices: np.ndarray, triangles: np.ndarray, panes: int, size: tuple[int, int], limits, colourmap: str,
-        centre: np.ndarray | None, radius: float,
-    ) -> None:  # fmt: skip
+        self,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        panes: int,
+        size: tuple[int, int],
+        limits,
+        colourmap: str,
+        centre: np.ndarray | None,
+        radius: float,
+    ) -> None:
         vertices = np.asarray(vertices, float)
         self.limits, self._colourmap, self._radius = tuple(limits), colourmap, radius
         self._triangles = np.asarray(triangles)
@@ -108,13 +115,18 @@ class HeadView:
         # Whole numbers: JupyterLab's sliders round, and send back what they rounded, which would overtake the next wish.
         self.turn, self.tilt, self.zoom = (
             widgets.IntSlider(
-                start, min=round(scale * low), max=round(scale * high), description=name, readout_format="d",
-                style={"description_width": width}, layout=widgets.Layout(width="188px"),
+                start,
+                min=round(scale * low),
+                max=round(scale * high),
+                description=name,
+                readout_format="d",
+                style={"description_width": width},
+                layout=widgets.Layout(width="188px"),
             )
             for name, start, scale, width, (low, high) in zip(
                 ("turn, °", "tilt, °", "zoom, %"), (0, 0, 100), SCALES, ("48px", "44px", "60px"), LIMITS, strict=True
             )
-        )  # fmt: skip
+        )
         move, wish = on_main_thread(lambda *camera: self.look(*camera)), on_main_thread(self._wish)
         for slider in (self.turn, self.tilt, self.zoom):
             slider.observe(lambda change: self._following or move(*self._sliders()), "value")

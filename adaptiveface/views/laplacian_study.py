@@ -45,9 +45,7 @@ class PrintedEquation:
         self._select = sp.csr_matrix((np.ones(len(columns)), (rows, columns)), (len(columns), n))
         smooth = laplacian.T @ laplacian + sp.identity(n)
         # P is diagonal, so the three coordinates have their own matrices: focal length for x and y, 1 for z.
-        self._factors = [
-            splu((smooth + s**2 * self._select.T @ self._select).tocsc()) for s in (camera.fx, camera.fy, 1.0)
-        ]
+        self._factors = [splu((smooth + s**2 * self._select.T @ self._select).tocsc()) for s in (camera.fx, camera.fy, 1.0)]
 
     def deform(self, frame: RgbdFrame, result: TrackedFrame, w1: float, w2: float) -> np.ndarray:
         """Displacement (n, 3) of the frontal vertices of v1 in the head frame, mm."""
@@ -118,9 +116,7 @@ def tracker_with_laplacian(name: str):
         """A tracker that smooths by the chosen operator."""
         tracker = copy.copy(FaceTracker(actor, parameters))
         rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
-        tracker.deformation = LaplacianDeformation(
-            *rigging, parameters.laplacian.w1, parameters.laplacian.w2, operators[name]
-        )
+        tracker.deformation = LaplacianDeformation(*rigging, parameters.laplacian.w1, parameters.laplacian.w2, operators[name])
         return tracker
 
     return make

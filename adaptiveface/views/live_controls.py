@@ -53,9 +53,7 @@ def dropped_frames(statistics: LiveStatistics) -> tuple[int, int, int]:
     return statistics.dropped_sensor, statistics.dropped_features, statistics.dropped_tracker
 
 
-def figures(
-    statistics: LiveStatistics, dropped: Sequence[int], rate: float, correctives: int, recorded: int | None
-) -> str:
+def figures(statistics: LiveStatistics, dropped: Sequence[int], rate: float, correctives: int, recorded: int | None) -> str:
     """Latency, rates, lost frames; ``rate``: pictures a second, ``recorded``: frames on disk, None without recording."""
     return (
         f"latency {statistics.latency_ms_p50:.0f} ms (95 %: {statistics.latency_ms_p95:.0f} ms), "
@@ -76,9 +74,13 @@ class LiveControls:
     """Widgets by name; ``widget`` holds them all around the boxes ``pictures`` and ``curves``."""
 
     def __init__(
-        self, on_parameters, parameters=None, sensor: str | None = None, character: str | None = None,
+        self,
+        on_parameters,
+        parameters=None,
+        sensor: str | None = None,
+        character: str | None = None,
         expressions: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.sensor = widgets.Dropdown(
             options=self._sensors(sensor), description="sensor", style=_NARROW, layout=widgets.Layout(width="560px")
         )
@@ -87,9 +89,12 @@ class LiveControls:
         if character and character not in BUILT_IN:
             characters.append((character, character))
         self.character = widgets.Dropdown(
-            options=characters, value=character or "", description="character", style=_NARROW,
+            options=characters,
+            value=character or "",
+            description="character",
+            style=_NARROW,
             layout=widgets.Layout(width="210px"),
-        )  # fmt: skip
+        )
         self.start = _button("start", "play", "open the chosen sensor", "start", width="90px")
         self.stop = _button("stop", "stop", "close the sensor and end every thread", "stop", width="90px")
         self.status, self.trouble, self.figures = widgets.HTML(), widgets.HTML(), widgets.HTML()
@@ -133,9 +138,18 @@ class LiveControls:
         self.actions = widgets.VBox([first, second])
         top = widgets.HBox([self.sensor, self.character, self.start, self.stop], layout=_ROW)
         self.widget = widgets.VBox(
-            [top, self.status, self.trouble, self.scan, self.pictures, self.figures, self.actions, self.panel.widget,
-             self.curves]
-        )  # fmt: skip
+            [
+                top,
+                self.status,
+                self.trouble,
+                self.scan,
+                self.pictures,
+                self.figures,
+                self.actions,
+                self.panel.widget,
+                self.curves,
+            ]
+        )
         self.widget.add_class("adaptiveface-live-view")
 
     def show(self, scanning: bool, tracking: bool, running: bool) -> None:

@@ -33,9 +33,11 @@ class MeshPane:
     def __init__(self, size: tuple[int, int] = (360, 400)) -> None:
         self._size, self._view, self._actor = size, None, None
         self.heat = widgets.Dropdown(
-            options=[ADDED, TO_DEPTH, PLAIN], description="colours", layout=widgets.Layout(width=f"{size[0]}px"),
+            options=[ADDED, TO_DEPTH, PLAIN],
+            description="colours",
+            layout=widgets.Layout(width=f"{size[0]}px"),
             style={"description_width": "60px"},
-        )  # fmt: skip
+        )
         self.follow = widgets.Checkbox(True, description="turn with the head", indent=False)
         self.widget = widgets.VBox([], layout=widgets.Layout(width=f"{size[0] + 15}px"))
 
@@ -136,9 +138,14 @@ class CurvesPane:
     def __init__(self) -> None:
         self._anchor, self._adaptive = deque(maxlen=HISTORY), deque(maxlen=HISTORY)
         self.curves = LiveChart(
-            ("to anchor space", "to adaptive space"), (-HISTORY, 0), (0, 1.5), "frames ago", "mean distance, mm",
-            "figure 11: distance of v2", size=(440, 230),
-        )  # fmt: skip
+            ("to anchor space", "to adaptive space"),
+            (-HISTORY, 0),
+            (0, 1.5),
+            "frames ago",
+            "mean distance, mm",
+            "figure 11: distance of v2",
+            size=(440, 230),
+        )
         self.stages = BarChart([*STAGE_NAMES, "2D features"], (0, 20), "ms", "time per frame", size=(440, 230))
         self.coefficients: BarChart | None = None
         self._names: tuple[str, ...] = ()

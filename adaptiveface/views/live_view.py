@@ -26,8 +26,12 @@ from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
 
 #: At most so many pictures of the face, and of the curves, a second.
 PICTURES, CHARTS = 25.0, 4.0
-BUILD_STEPS = {"fuse": "merging the scan", "fit": "fitting the identity", "shrink_wrap": "shrink-wrap",
-               "blendshapes": "making the blendshapes"}  # fmt: skip
+BUILD_STEPS = {
+    "fuse": "merging the scan",
+    "fit": "fitting the identity",
+    "shrink_wrap": "shrink-wrap",
+    "blendshapes": "making the blendshapes",
+}
 _DEGRADED = "<b>colour only: no depth, degraded.</b> Pose and expression come from 2D landmarks; no correctives. "
 
 
@@ -256,8 +260,13 @@ class LiveView:
     def _show_state(self) -> None:
         state = self._shown_state = self.run.state
         self.controls.show(state == SCANNING, state == TRACKING, state not in (FAILED, CLOSED))
-        texts = {OPENING: f"opening {self.run.name} ...", TRACKING: f"tracking: {self.run.name}", CLOSED: "stopped",
-                 FAILED: "", SCANNING: "looking for a face ..."}  # fmt: skip
+        texts = {
+            OPENING: f"opening {self.run.name} ...",
+            TRACKING: f"tracking: {self.run.name}",
+            CLOSED: "stopped",
+            FAILED: "",
+            SCANNING: "looking for a face ...",
+        }
         label = _DEGRADED if self.run.colour_only else ""
         self.controls.status.value = label + html.escape(texts.get(state, state))
         if state == TRACKING:
@@ -283,9 +292,14 @@ class LiveView:
 
             return on_main_thread(guarded)
 
-        for button, action in ((c.start, self.start), (c.stop, self.stop), (c.enough, self.finish_scan),
-                               (c.relearn, self.relearn), (c.reset, self.reset_correctives),
-                               (c.save, self.save_actor)):  # fmt: skip
+        for button, action in (
+            (c.start, self.start),
+            (c.stop, self.stop),
+            (c.enough, self.finish_scan),
+            (c.relearn, self.relearn),
+            (c.reset, self.reset_correctives),
+            (c.save, self.save_actor),
+        ):
             button.on_click(acts(action))
         c.freeze.observe(acts(lambda: self.freeze(c.freeze.value)), "value")
         c.record.observe(acts(lambda: self.record(c.record.value)), "value")

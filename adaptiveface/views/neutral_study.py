@@ -73,10 +73,14 @@ class ScanStudy(_Study):
         self.neutral = [frame for frame in session.neutral if frame.features is not None] or session.neutral
         most = len(self.neutral)
         self.view = FaceView(
-            self.model.mean, self.model.triangles, ("merged scan",), limits=(0, most),
-            label="depth frames that saw the point", centre=self.model.mean[self.model.frontal].mean(axis=0),
+            self.model.mean,
+            self.model.triangles,
+            ("merged scan",),
+            limits=(0, most),
+            label="depth frames that saw the point",
+            centre=self.model.mean[self.model.frontal].mean(axis=0),
             colourmap="summer",  # even its low end is bright enough to show the relief of a single frame
-        )  # fmt: skip
+        )
         self.view.hide_head(0)
         self.frames = widgets.IntSlider(
             1, min=1, max=most, description="frames", style=_STYLE, layout=_WIDE, continuous_update=False
@@ -97,8 +101,10 @@ class ScanStudy(_Study):
         self.scan = fuse_frames(self.neutral[: self.frames.value], self.model, parameters)
         self.view.show_points(0, self.scan.points, self.scan.weights, self.scan.normals, 20_000, size=5)
         count = len(self.scan.frames)
-        self.note = (f"{count} frame{'s' * (count > 1)} merged, {len(self.scan.points)} points; median distance of a "
-                     f"single frame to the merged surface: {np.median(self.scan.residuals):.2f} mm")  # fmt: skip
+        self.note = (
+            f"{count} frame{'s' * (count > 1)} merged, {len(self.scan.points)} points; median distance of a "
+            f"single frame to the merged surface: {np.median(self.scan.residuals):.2f} mm"
+        )
 
 
 class IdentityStudy(_Study):
@@ -107,10 +113,14 @@ class IdentityStudy(_Study):
     def __init__(self, model: FaceModel | None = None, modes: int = 8, start: np.ndarray | None = None) -> None:
         self.model = model or embedded_face_model()
         self.view = FaceView(
-            self.model.mean, self.model.triangles, ("identity",), limits=(0, 25),
+            self.model.mean,
+            self.model.triangles,
+            ("identity",),
+            limits=(0, 25),
             label="distance from the mean head, mm",
-            centre=self.model.mean[self.model.frontal].mean(axis=0), radius=165.0,
-        )  # fmt: skip
+            centre=self.model.mean[self.model.frontal].mean(axis=0),
+            radius=165.0,
+        )
         values = np.zeros(modes) if start is None else np.clip(start[:modes], -3, 3)
         steps, look = linear_steps(-3, 3, 0.1), dict(style=_STYLE, layout=_WIDE)
         self.sliders = [ValueSlider(steps, v, description=f"mode {k + 1}", **look) for k, v in enumerate(values)]
@@ -125,16 +135,19 @@ class IdentityStudy(_Study):
 class ShrinkWrapStudy(_Study):
     """The fitted head before and after the shrink-wrap, coloured by the distance to the scan, for any stiffness."""
 
-    def __init__(
-        self, scan: FusedScan, fit: IdentityFit, truth: GroundTruth | None = None, stiffness: float = 0.3
-    ) -> None:
+    def __init__(self, scan: FusedScan, fit: IdentityFit, truth: GroundTruth | None = None, stiffness: float = 0.3) -> None:
         """``scan`` (in the head frame) and ``fit`` of a :class:`~adaptiveface.neutral.capture.NeutralCapture`."""
         self.truth = truth
         self.model, self.scan, self.fit, self._search = embedded_face_model(), scan, fit, ScanSearch(scan)
         self.view = FaceView(
-            fit.vertices, self.model.triangles, ("fitted modes", "after the shrink-wrap"), limits=(0, 2),
-            label="distance to the scan, mm", centre=fit.vertices[self.model.frontal].mean(axis=0), pane=(330, 380),
-        )  # fmt: skip
+            fit.vertices,
+            self.model.triangles,
+            ("fitted modes", "after the shrink-wrap"),
+            limits=(0, 2),
+            label="distance to the scan, mm",
+            centre=fit.vertices[self.model.frontal].mean(axis=0),
+            pane=(330, 380),
+        )
         steps = [0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0]
         self.stiffness = widgets.SelectionSlider(
             options=[(f"{s:g}", s) for s in steps],
@@ -214,8 +227,9 @@ class ExpressionStudy(_Study):
         self._offset = actor.neutral[actor.frontal].mean(axis=0) - self.model.mean[self.model.frontal].mean(axis=0)
         steps = linear_steps(0, 1, 0.02)
         look = dict(style={"description_width": "120px"}, layout=widgets.Layout(width="340px"))
-        self.sliders = {name: ValueSlider(steps, (start or {}).get(name, 0.0), description=name, **look)
-                        for name in actor.expression_names}  # fmt: skip
+        self.sliders = {
+            name: ValueSlider(steps, (start or {}).get(name, 0.0), description=name, **look) for name in actor.expression_names
+        }
         self._assemble(list(self.sliders.values()))
 
     def draw(self) -> None:

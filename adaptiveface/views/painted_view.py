@@ -23,10 +23,17 @@ class PaintedView(HeadView):
     """
 
     def __init__(
-        self, vertices: np.ndarray, triangles: np.ndarray, title: str = "", limits=(0.0, 5.0), label: str = "",
-        size: tuple[int, int] = (380, 420), centre: np.ndarray | None = None, colourmap: str = COLOURMAP,
+        self,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        title: str = "",
+        limits=(0.0, 5.0),
+        label: str = "",
+        size: tuple[int, int] = (380, 420),
+        centre: np.ndarray | None = None,
+        colourmap: str = COLOURMAP,
         radius: float = 138.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(vertices, triangles, 1, size, limits, colourmap, centre, radius)
         self._corners, self._size = np.ascontiguousarray(triangles, np.int64), size
         self._make_widget(label)

@@ -12,13 +12,17 @@ from .kernel import on_main_thread, shown_errors
 from .sliders import TypedNumbers, ValueSlider, linear_steps, log_steps, short
 
 TITLES = {
-    "fusion": "fusion (section 3)", "fit": "identity fit (section 3)", "shrink_wrap": "shrink-wrap (section 3)",
-    "depth": "depth map (4.1)", "rigid": "rigid ICP (4.1)",
+    "fusion": "fusion (section 3)",
+    "fit": "identity fit (section 3)",
+    "shrink_wrap": "shrink-wrap (section 3)",
+    "depth": "depth map (4.1)",
+    "rigid": "rigid ICP (4.1)",
     "refinement": "detected features",
     "blendshapes": "blendshape fit (4.2)",
-    "kalman": "Kalman filter (4.2)", "laplacian": "Laplacian (4.3, 4.4)",
+    "kalman": "Kalman filter (4.2)",
+    "laplacian": "Laplacian (4.3, 4.4)",
     "adaptive_pca": "adaptive PCA (5)",
-}  # fmt: skip
+}
 #: Jupyter's tabs have one width and cut longer titles off.
 TAB_STYLE = "<style>.adaptiveface-tabs .lm-TabBar-tab {flex: 0 0 auto !important; max-width: none !important}</style>"
 #: The number of expressions used; an actor has only so many.

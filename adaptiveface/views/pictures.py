@@ -79,9 +79,7 @@ class CameraView:
     ``depth``: the depth map stands beside it.
     """
 
-    def __init__(
-        self, size: tuple[int, int] = (360, 400), title: str = "what the sensor sees", depth: bool = False
-    ) -> None:
+    def __init__(self, size: tuple[int, int] = (360, 400), title: str = "what the sensor sees", depth: bool = False) -> None:
         self.size = size
         self._image = image_widget(*size, name="adaptiveface-camera")
         self._image.value = encode(np.full((size[1], size[0], 3), 240, np.uint8))  # until the first frame

@@ -46,9 +46,7 @@ class AblationView:
         self._titles = titles = [
             name.replace("without the adaptive space and the final deformation", "v2 as the output") for name in names
         ]
-        self.view = FaceView.of(
-            session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(300, 330)
-        )
+        self.view = FaceView.of(session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(300, 330))
         self.note = widgets.HTML()
         self.player = Player(len(self.frames), self.show)
         self.widget = widgets.VBox([self.view.widget, self.player.widget, self.note])
@@ -106,9 +104,7 @@ def sweep(
     cells = list(itertools.product(range(len(row_values)), range(len(column_values))))
     settings = [base.set(**{row_name: row_values[r], column_name: column_values[c]}) for r, c in cells]
     _ = session.actor  # captured once, before it is sent anywhere
-    for (r, c), value in tqdm(
-        _computed(session, cells, settings, measure, client), total=len(cells), desc="sweep", unit="run"
-    ):
+    for (r, c), value in tqdm(_computed(session, cells, settings, measure, client), total=len(cells), desc="sweep", unit="run"):
         out[r, c] = value
         if chart is not None:
             chart.set(r, c, value)

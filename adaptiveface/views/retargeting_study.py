@@ -50,8 +50,7 @@ class RetargetingStudy:
         self.initial = np.array([r.coefficients_initial for r in self.results])
         self.resolved = self._resolved(SPARSITY)
         self.characters = [load_character(name) for name in characters]
-        self._self = Character("actor", self.actor.neutral, self.actor.triangles, names,
-                               self.actor.blendshapes[: len(names)])  # fmt: skip
+        self._self = Character("actor", self.actor.neutral, self.actor.triangles, names, self.actor.blendshapes[: len(names)])
         self._added: dict[str, np.ndarray] = {}
         self._make_widget(session.fps)
         self._redraw()
@@ -61,15 +60,21 @@ class RetargetingStudy:
             options=[RESOLVED, INITIAL, CORRECTIVES, COMPARED, SLIDERS], style={"button_width": "auto"}
         )
         self.sliders = {
-            name: ValueSlider(linear_steps(0, 1, 0.05), 0, description=name, style=_STYLE, layout=_WIDE)
-            for name in self.names
+            name: ValueSlider(linear_steps(0, 1, 0.05), 0, description=name, style=_STYLE, layout=_WIDE) for name in self.names
         }
         names = [character.name for character in self.characters]
         self.compared = widgets.Dropdown(options=names, description="compare on", style=_STYLE, layout=_WIDE)
         self.expression = widgets.Dropdown(options=self.names, description="chart", style=_STYLE, layout=_WIDE)
         self.player = Player(len(self.results), lambda index: self.draw(), fps)
-        self.chart = LiveChart((INITIAL, RESOLVED), (0, len(self.results) - 1), (-0.02, 1.02), "frame", "coefficient",
-                               "initial against re-solved", size=(460, 220))  # fmt: skip
+        self.chart = LiveChart(
+            (INITIAL, RESOLVED),
+            (0, len(self.results) - 1),
+            (-0.02, 1.02),
+            "frame",
+            "coefficient",
+            "initial against re-solved",
+            size=(460, 220),
+        )
         self.message = widgets.HTML()
         self.view = Turntable(width=self.pane * (1 + len(self.characters)), height=self.pane, name="adaptiveface-characters")
         redraw = on_main_thread(self._redraw)
@@ -81,8 +86,10 @@ class RetargetingStudy:
         sliders = list(self.sliders.values())
         box = widgets.VBox([*sliders, TypedNumbers(sliders)], layout=widgets.Layout(max_height="260px", overflow="auto"))
         box.add_class("adaptiveface-numbers")
-        below = widgets.HBox([box, widgets.VBox([self.compared, self.expression, self.chart.widget])],
-                             layout=widgets.Layout(flex_flow="row wrap"))  # fmt: skip
+        below = widgets.HBox(
+            [box, widgets.VBox([self.compared, self.expression, self.chart.widget])],
+            layout=widgets.Layout(flex_flow="row wrap"),
+        )
         self.widget = widgets.VBox([self.view, self.mode, self.player.widget, self.message, below])
 
     def resolve(self, sparsity: float = SPARSITY) -> np.ndarray:

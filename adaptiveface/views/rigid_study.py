@@ -68,9 +68,7 @@ def run_icp(
     return IcpRun(np.array(poses), np.array(residuals), np.array(counts))
 
 
-def depth_points(
-    frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius: float = 130.0, stride: int = 3
-) -> np.ndarray:
+def depth_points(frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius: float = 130.0, stride: int = 3) -> np.ndarray:
     """(p, 3) measured points around the head, taken to the head frame of ``pose`` (4, 4), mm."""
     v, u = np.mgrid[0 : frame.depth.shape[0] : stride, 0 : frame.depth.shape[1] : stride]
     depth = frame.depth[::stride, ::stride]
@@ -88,21 +86,20 @@ class IcpStudy(_Study):
         self._vertices, self._all_normals = result.v1, vertex_normals(result.v1, actor.triangles)
         self._shape, self._normals = result.v1[self._keep], self._all_normals[self._keep]
         self._centre, self._tree = self._shape.mean(axis=0), cKDTree(result.v1)
-        self.view = FaceView.of(
-            actor, ("head and depth points",), limits=(0, 6), label="distance of the depth points, mm"
-        )
+        self.view = FaceView.of(actor, ("head and depth points",), limits=(0, 6), label="distance of the depth points, mm")
         self.iteration = widgets.IntSlider(0, min=0, max=12, description="iteration", style=_STYLE, layout=_WIDE)
         self.prune = ValueSlider(linear_steps(2, 60, 1), 25, description="prune, mm", style=_STYLE, layout=_WIDE)
-        self.shift = ValueSlider(
-            linear_steps(0, 60, 1), 10, description="start off by, mm", style=_STYLE, layout=_WIDE
-        )
-        self.turn = ValueSlider(
-            linear_steps(-40, 40, 1), 8, description="turned by, degrees", style=_STYLE, layout=_WIDE
-        )
+        self.shift = ValueSlider(linear_steps(0, 60, 1), 10, description="start off by, mm", style=_STYLE, layout=_WIDE)
+        self.turn = ValueSlider(linear_steps(-40, 40, 1), 8, description="turned by, degrees", style=_STYLE, layout=_WIDE)
         self.chart = LiveChart(
-            ("mean residual", "stop rule, 3 mm", "error of the pose"), (0, 12), (0.05, 100), "iteration", "mm, logarithmic",
-            "ICP, step by step", log=True,
-        )  # fmt: skip
+            ("mean residual", "stop rule, 3 mm", "error of the pose"),
+            (0, 12),
+            (0.05, 100),
+            "iteration",
+            "mm, logarithmic",
+            "ICP, step by step",
+            log=True,
+        )
         self._assemble([self.iteration, self.prune, self.shift, self.turn])
         box = self.widget.children[0]
         box.layout.max_height, box.children = None, (*box.children, self.chart.widget)
@@ -117,10 +114,13 @@ class IcpStudy(_Study):
         goal = transform_points(self.result.rigid, self._shape)
         errors = [np.linalg.norm(transform_points(pose, self._shape) - goal, axis=1).mean() for pose in self.run.poses]
         rule = (np.array([0, 12]), np.array([3.0, 3.0]))
-        self.chart.update(k, **{"mean residual": self.run.residuals, "stop rule, 3 mm": rule,
-                                "error of the pose": np.array(errors)})  # fmt: skip
-        self.note = (f"after {k} step{'s' * (k != 1)}: mean residual {self.run.residuals[k]:.2f} mm over "
-                     f"{self.run.matches[k]} partners; error of the pose {errors[k]:.2f} mm")  # fmt: skip
+        self.chart.update(
+            k, **{"mean residual": self.run.residuals, "stop rule, 3 mm": rule, "error of the pose": np.array(errors)}
+        )
+        self.note = (
+            f"after {k} step{'s' * (k != 1)}: mean residual {self.run.residuals[k]:.2f} mm over "
+            f"{self.run.matches[k]} partners; error of the pose {errors[k]:.2f} mm"
+        )
 
     def _residuals(self, points: np.ndarray) -> np.ndarray:
         """(p,) distance of depth points from the plane of the nearest vertex; NaN beyond the pruning distance."""

@@ -42,11 +42,17 @@ CACHE_VERSION = 2
 _log = logging.getLogger(__name__)
 
 _FIELDS = {
-    "depth": Field(("F", "H", "W"), "u"), "colour": Field(("F", "H", "W", 3), "u"), "pixels": Field(("F", 40, 2)),
-    "confidence": Field(("F", 40)), "intrinsics": Field((4,)), "depth_unit": Field(()),
+    "depth": Field(("F", "H", "W"), "u"),
+    "colour": Field(("F", "H", "W", 3), "u"),
+    "pixels": Field(("F", 40, 2)),
+    "confidence": Field(("F", 40)),
+    "intrinsics": Field((4,)),
+    "depth_unit": Field(()),
     "truth_vertices": Field(("F", "V", 3)),
-    "truth_rigid": Field(("F", 4, 4)), "performance": Field(("F",), "i"), "truth_neutral": Field(("V", 3)),
-}  # fmt: skip
+    "truth_rigid": Field(("F", 4, 4)),
+    "performance": Field(("F",), "i"),
+    "truth_neutral": Field(("V", 3)),
+}
 
 
 def fast() -> bool:
@@ -199,9 +205,7 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
     sensor = SyntheticSensor(int(seed or 7), noise or "structured-light", neutral_frames, 3 * half, 2)
     first = neutral_frames + liveliest_window(sensor.script, half)
     chosen = [*range(neutral_frames), *range(first, first + half), *range(first + 3 * half, first + 4 * half)]
-    rows: dict[str, list] = {
-        name: [] for name in ("depth", "colour", "pixels", "confidence", "v", "rigid", "performance")
-    }
+    rows: dict[str, list] = {name: [] for name in ("depth", "colour", "pixels", "confidence", "v", "rigid", "performance")}
     unit = 0.1
     with one_blas_thread():
         for index in tqdm(chosen, desc="rendering the performance (first time only)", unit="frame"):
@@ -220,12 +224,18 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
     neutral = GroundTruth.of(sensor).neutral if neutral_frames else np.zeros((1, 3))
     c = sensor.camera
     return dict(
-        depth=np.stack(rows["depth"]), colour=np.stack(rows["colour"]), confidence=np.stack(rows["confidence"]),
+        depth=np.stack(rows["depth"]),
+        colour=np.stack(rows["colour"]),
+        confidence=np.stack(rows["confidence"]),
         # Checked files hold no NaN: hidden features have confidence 0 and any position.
-        pixels=np.nan_to_num(np.stack(rows["pixels"]), nan=-1.0), intrinsics=np.array([c.fx, c.fy, c.cx, c.cy]),
-        depth_unit=np.array(unit), truth_vertices=np.stack(rows["v"]), truth_rigid=np.stack(rows["rigid"]),
-        performance=np.array(rows["performance"], np.int64), truth_neutral=neutral,
-    )  # fmt: skip
+        pixels=np.nan_to_num(np.stack(rows["pixels"]), nan=-1.0),
+        intrinsics=np.array([c.fx, c.fy, c.cx, c.cy]),
+        depth_unit=np.array(unit),
+        truth_vertices=np.stack(rows["v"]),
+        truth_rigid=np.stack(rows["rigid"]),
+        performance=np.array(rows["performance"], np.int64),
+        truth_neutral=neutral,
+    )
 
 
 def liveliest_window(script: np.ndarray, length: int) -> int:
@@ -243,9 +253,7 @@ def _session(source: str, data: dict, neutral_frames: int, actor_file: Path | No
         hidden = data["confidence"][i] <= 0
         pixels = np.where(hidden[:, None], np.nan, data["pixels"][i])
         depth = data["depth"][i].astype(np.float32) * np.float32(data["depth_unit"])
-        frames.append(
-            RgbdFrame(depth, camera, data["colour"][i], i, i / 30.0, Features2D(pixels, data["confidence"][i]))
-        )
+        frames.append(RgbdFrame(depth, camera, data["colour"][i], i, i / 30.0, Features2D(pixels, data["confidence"][i])))
 
     def truth(index: int) -> TruthFrame:
         """The true head of frame ``index`` in the camera frame, mm; see :class:`TruthFrame`."""

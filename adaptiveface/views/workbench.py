@@ -39,11 +39,21 @@ class Workbench:
     """
 
     def __init__(
-        self, session: Session, controls: Sequence[str], panes: dict[str, Pane],
+        self,
+        session: Session,
+        controls: Sequence[str],
+        panes: dict[str, Pane],
         charts: Sequence[tuple[LiveChart, ChartSource]] = (),
-        *, limits=(0.0, 4.0), label: str = "", parameters: Parameters | None = None, ranges=None, camera: bool = True,
-        make_tracker: MakeTracker = FaceTracker, extra: Callable | None = None, start: int = 0,
-    ) -> None:  # fmt: skip
+        *,
+        limits=(0.0, 4.0),
+        label: str = "",
+        parameters: Parameters | None = None,
+        ranges=None,
+        camera: bool = True,
+        make_tracker: MakeTracker = FaceTracker,
+        extra: Callable | None = None,
+        start: int = 0,
+    ) -> None:
         self.session, self.panes, self.charts, self.extra = session, list(panes.values()), list(charts), extra
         self.replay = Replay(session.frames, session.actor, parameters, self._on_result, make_tracker)
         expressions = len(session.actor.blendshapes)
@@ -76,8 +86,12 @@ class Workbench:
             widgets.VBox([chart.widget for chart, _ in self.charts]),
         ]
         self.widget = widgets.VBox(
-            [self.verdict, widgets.HBox(views, layout=row), widgets.HBox([self.player.widget, restart], layout=row),
-             widgets.HBox(below, layout=row)]  # fmt: skip
+            [
+                self.verdict,
+                widgets.HBox(views, layout=row),
+                widgets.HBox([self.player.widget, restart], layout=row),
+                widgets.HBox(below, layout=row),
+            ]
         )
         self.widget.add_class("adaptiveface-workbench")
 
@@ -195,9 +209,7 @@ def error_chart(session: Session, measures: Measures, stages: Sequence[str] = ("
 def figure_11(session: Session, top: float = 1.5):
     """The paper's figure 11: distance of v2 from both spaces before the frame is learned from, and its source."""
     names = ("to anchor space", "to adaptive space")
-    chart = LiveChart(
-        names, (0, len(session.frames) - 1), (0, top), "frame", "mean distance, mm", "figure 11: distance of v2"
-    )
+    chart = LiveChart(names, (0, len(session.frames) - 1), (0, top), "frame", "mean distance, mm", "figure 11: distance of v2")
     return chart, lambda replay: dict(
         zip(names, (replay.series("anchor_distance"), replay.series("adaptive_distance")), strict=True)
     )

@@ -55,8 +55,7 @@ def eyeball(centre: np.ndarray, radius: float, side: str, iris: tuple) -> Part:
     expressions = {}
     for look, degrees in GAZE.items():
         away = 1.0 if side == "Left" else -1.0  # the subject's left is +x
-        axis = {"eyeLookUp": (-1, 0, 0), "eyeLookDown": (1, 0, 0),
-                "eyeLookOut": (0, away, 0), "eyeLookIn": (0, -away, 0)}  # fmt: skip
+        axis = {"eyeLookUp": (-1, 0, 0), "eyeLookDown": (1, 0, 0), "eyeLookOut": (0, away, 0), "eyeLookIn": (0, -away, 0)}
         turn = rotation_vector_matrix(np.radians(degrees) * np.array(axis[look], float))
         expressions[look + side] = shape @ turn.T - shape
     return Part(centre + shape, np.array(triangles), np.clip(colours, 0, 255), expressions)
@@ -107,8 +106,10 @@ def _opening(rim: np.ndarray) -> np.ndarray:
     """(n,) in [-1, 1]: positive on the upper half of the rim, 0 at the corners."""
     left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
     out = np.zeros(len(rim))
-    halves = [np.arange(left, left + (right - left) % len(rim) + 1) % len(rim),
-              np.arange(right, right + (left - right) % len(rim) + 1) % len(rim)]  # fmt: skip
+    halves = [
+        np.arange(left, left + (right - left) % len(rim) + 1) % len(rim),
+        np.arange(right, right + (left - right) % len(rim) + 1) % len(rim),
+    ]
     halves.sort(key=lambda half: rim[half, 1].mean())
     for half, sign in zip(halves, (-1.0, 1.0), strict=True):
         out[half] = sign * np.sin(np.pi * np.linspace(0, 1, len(half))) ** 0.6
@@ -126,8 +127,9 @@ def base_part(base: MakeHuman, quads: np.ndarray, head: np.ndarray, scale: float
     ids, local = np.unique(quads, return_inverse=True)
     local = local.reshape(quads.shape)
     triangles = np.concatenate([local[:, [0, 1, 2]], local[:, [0, 2, 3]]])
-    triangles = triangles[(triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2])
-                          & (triangles[:, 0] != triangles[:, 2])]  # fmt: skip
+    triangles = triangles[
+        (triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2]) & (triangles[:, 0] != triangles[:, 2])
+    ]
     expressions = {}
     for name in base.face_unit_names():
         displacement = scale * base.face_unit(name)[ids].astype(float)

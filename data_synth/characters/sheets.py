@@ -27,10 +27,12 @@ def write_sheets(character: Character, folder: Path) -> None:
         "rage": "browDownLeft browDownRight noseSneerLeft noseSneerRight jawOpen*0.6 mouthUpperUpLeft",
         "fear": "browInnerUp eyeWideLeft eyeWideRight mouthStretchLeft mouthStretchRight jawOpen*0.3",
         "sleep": "eyeBlinkLeft eyeBlinkRight mouthPressLeft*0.5 mouthPressRight*0.5",
-        "kiss": "mouthPucker eyeBlinkLeft browOuterUpRight", "shut": "jawOpen mouthClose",
-        "tongue": "tongueOut jawOpen*0.4", "half blink": "eyeBlinkLeft*0.5 eyeBlinkRight*0.5",
+        "kiss": "mouthPucker eyeBlinkLeft browOuterUpRight",
+        "shut": "jawOpen mouthClose",
+        "tongue": "tongueOut jawOpen*0.4",
+        "half blink": "eyeBlinkLeft*0.5 eyeBlinkRight*0.5",
         "oo": "mouthFunnel jawOpen*0.2",
-    }  # fmt: skip
+    }
     cells = []
     for label, text in mixed.items():
         weights = np.zeros(count)
@@ -54,8 +56,13 @@ def _write(character: Character, cells, path: Path, columns: int = COLUMNS, size
 
 def write_overview(characters: list[Character], path: Path, size: int = 260) -> None:
     """One picture: every character (row) neutral, joyful, angry, with closed eyes and open mouth."""
-    moods = ({}, {"mouthSmile": 1.0, "cheekSquint": 0.8, "jawOpen": 0.3}, {"browDown": 1.0, "noseSneer": 0.8},
-             {"eyeBlink": 1.0}, {"jawOpen": 0.9, "browInnerUp": 0.8, "eyeWide": 0.7})  # fmt: skip
+    moods = (
+        {},
+        {"mouthSmile": 1.0, "cheekSquint": 0.8, "jawOpen": 0.3},
+        {"browDown": 1.0, "noseSneer": 0.8},
+        {"eyeBlink": 1.0},
+        {"jawOpen": 0.9, "browInnerUp": 0.8, "eyeWide": 0.7},
+    )
     rows = []
     for character in characters:
         cells = []

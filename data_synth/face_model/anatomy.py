@@ -55,8 +55,17 @@ def find_anatomy(vertices: np.ndarray, left_eyeball: np.ndarray, mesh: TrackingM
     radius = float(np.linalg.norm(left_eyeball - centre, axis=1).max())
     eye = EyeOpening(mesh.curves["lid_upper"][::-1], mesh.curves["lid_lower"][::-1], centre, radius)
     left = _distance(graph, margins)
-    return Anatomy(mesh, FieldSmoother(vertices, mesh.triangles), lips, lip, inner_lip, eye, lip_distance, left,
-                   np.minimum(left, left[mesh.mirror]))  # fmt: skip
+    return Anatomy(
+        mesh,
+        FieldSmoother(vertices, mesh.triangles),
+        lips,
+        lip,
+        inner_lip,
+        eye,
+        lip_distance,
+        left,
+        np.minimum(left, left[mesh.mirror]),
+    )
 
 
 def _edge_lengths(vertices: np.ndarray, triangles: np.ndarray) -> sp.csr_matrix:

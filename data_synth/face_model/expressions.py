@@ -21,8 +21,17 @@ BLINK_SCALE = 0.75  # the authored blink overshoots on the mean head
 BLINK_LENGTH_MM = 2.5
 DEFAULT_LENGTH_MM = 1.5
 # Smoothing length of units with hard steps, and how much of their strength stays.
-LENGTH_MM = {"cheekPuff": 11.0, "cheekSquintLeft": 6.0, "mouthSmileLeft": 7.0, "browDownLeft": 3.0, "mouthFunnel": 2.5,
-             "mouthPucker": 2.5, "mouthDimpleLeft": 4.0, "mouthStretchLeft": 4.0, "mouthLeft": 4.0}  # fmt: skip
+LENGTH_MM = {
+    "cheekPuff": 11.0,
+    "cheekSquintLeft": 6.0,
+    "mouthSmileLeft": 7.0,
+    "browDownLeft": 3.0,
+    "mouthFunnel": 2.5,
+    "mouthPucker": 2.5,
+    "mouthDimpleLeft": 4.0,
+    "mouthStretchLeft": 4.0,
+    "mouthLeft": 4.0,
+}
 STRENGTH = {"mouthSmileLeft": 0.85}
 CONTOUR_WEIGHT = 30.0  # lips and lid margins hold to the authored unit ...
 SOFT_LIPS = {"mouthFunnel": 3.0, "mouthPucker": 3.0}  # ... less where the authored lips have corners

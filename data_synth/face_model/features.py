@@ -16,21 +16,53 @@ from .anatomy import Anatomy
 
 # Left half: MediaPipe index -> (curve, arc-length fraction from the corner or the outer canthus).
 ON_CURVES = {
-    291: ("lip_outer_upper", 0.0), 270: ("lip_outer_upper", 0.3206), 267: ("lip_outer_upper", 0.7858),
-    0: ("lip_outer_upper", 1.0), 321: ("lip_outer_lower", 0.3137), 314: ("lip_outer_lower", 0.7686),
-    17: ("lip_outer_lower", 1.0), 308: ("lip_inner_upper", 0.0), 311: ("lip_inner_upper", 0.5804),
-    13: ("lip_inner_upper", 1.0), 402: ("lip_inner_lower", 0.5711), 14: ("lip_inner_lower", 1.0),
-    263: ("lid_upper", 0.0), 387: ("lid_upper", 0.3362), 385: ("lid_upper", 0.6647),
-    373: ("lid_lower", 0.3333), 380: ("lid_lower", 0.6724),
-}  # fmt: skip
+    291: ("lip_outer_upper", 0.0),
+    270: ("lip_outer_upper", 0.3206),
+    267: ("lip_outer_upper", 0.7858),
+    0: ("lip_outer_upper", 1.0),
+    321: ("lip_outer_lower", 0.3137),
+    314: ("lip_outer_lower", 0.7686),
+    17: ("lip_outer_lower", 1.0),
+    308: ("lip_inner_upper", 0.0),
+    311: ("lip_inner_upper", 0.5804),
+    13: ("lip_inner_upper", 1.0),
+    402: ("lip_inner_lower", 0.5711),
+    14: ("lip_inner_lower", 1.0),
+    263: ("lid_upper", 0.0),
+    387: ("lid_upper", 0.3362),
+    385: ("lid_upper", 0.6647),
+    373: ("lid_lower", 0.3333),
+    380: ("lid_lower", 0.6724),
+}
 # MediaPipe index -> offset from the centre of the left eyeball, mm.
 NEAR_EYE = {
-    336: (-16.0, 20.6, 28.2), 296: (-1.8, 22.2, 25.1), 334: (10.5, 22.5, 18.6), 293: (20.1, 19.8, 9.0),
+    336: (-16.0, 20.6, 28.2),
+    296: (-1.8, 22.2, 25.1),
+    334: (10.5, 22.5, 18.6),
+    293: (20.1, 19.8, 9.0),
     362: (-14.5, -4.3, 14.1),
-}  # fmt: skip
+}
 # MediaPipe index on the left -> on the right.
-RIGHT = {291: 61, 270: 40, 267: 37, 321: 91, 314: 84, 308: 78, 311: 81, 402: 178, 263: 33, 387: 160, 385: 158, 373: 144,
-         380: 153, 336: 107, 296: 66, 334: 105, 293: 63, 362: 133}  # fmt: skip
+RIGHT = {
+    291: 61,
+    270: 40,
+    267: 37,
+    321: 91,
+    314: 84,
+    308: 78,
+    311: 81,
+    402: 178,
+    263: 33,
+    387: 160,
+    385: 158,
+    373: 144,
+    380: 153,
+    336: 107,
+    296: 66,
+    334: 105,
+    293: 63,
+    362: 133,
+}
 
 
 def place_features(mean: np.ndarray, anatomy: Anatomy) -> tuple[np.ndarray, np.ndarray]:

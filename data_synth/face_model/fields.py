@@ -35,7 +35,5 @@ class FieldSmoother:
         field[at] = values
         free = region.copy()
         free[at] = False
-        field[free] = spsolve(self.energy[free][:, free].tocsc(), -(self.energy[free] @ field)).reshape(
-            -1, values.shape[1]
-        )
+        field[free] = spsolve(self.energy[free][:, free].tocsc(), -(self.energy[free] @ field)).reshape(-1, values.shape[1])
         return field

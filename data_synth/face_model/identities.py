@@ -29,21 +29,44 @@ ASYMMETRY = 0.2  # sigma of left minus right, in the slider's sigma
 
 # (folder, name pattern, mm): first match wins, 0 leaves the slider out.
 CAPS_MM = [
-    ("head", r"head-(trans|angle)", 0), ("head", r"head-age", 0.6), ("head", r"head-back", 2.5),
-    ("head", r"head-scale-vert", 4.0), ("head", r"head-scale", 3.0), ("head", r"head-fat", 2.0), ("head", r"", 2.2),
-    ("nose", r"nose-trans-(in|out)", 0), ("nose", r"nose-(point|volume)", 1.1),
-    ("nose", r"nose-scale-(depth|vert)", 2.0), ("nose", r"", 1.1),
-    ("mouth", r"mouth-trans-(in|out)", 0), ("mouth", r"mouth-trans", 1.6), ("mouth", r"mouth-angles", 0.7),
+    ("head", r"head-(trans|angle)", 0),
+    ("head", r"head-age", 0.6),
+    ("head", r"head-back", 2.5),
+    ("head", r"head-scale-vert", 4.0),
+    ("head", r"head-scale", 3.0),
+    ("head", r"head-fat", 2.0),
+    ("head", r"", 2.2),
+    ("nose", r"nose-trans-(in|out)", 0),
+    ("nose", r"nose-(point|volume)", 1.1),
+    ("nose", r"nose-scale-(depth|vert)", 2.0),
+    ("nose", r"", 1.1),
+    ("mouth", r"mouth-trans-(in|out)", 0),
+    ("mouth", r"mouth-trans", 1.6),
+    ("mouth", r"mouth-angles", 0.7),
     ("mouth", r"", 1.0),
-    ("eyes", r".-eye-bag", 0.6), ("eyes", r".-eye-trans", 1.0), ("eyes", r"", 0.7),
-    ("ears", r".-ear-(trans|scale)", 2.0), ("ears", r"", 1.2),
-    ("chin", r"chin-cleft", 0.4), ("chin", r"", 2.0), ("cheek", r"", 1.6),
-    ("forehead", r"", 1.8), ("eyebrows", r"", 1.4),
-    ("asym", r"asymm", 0), ("asym", r"", 0.45),
-    ("neck", r"(neck-trans|measure|neck-scale-vert)", 0), ("neck", r"", 0.8),
-]  # fmt: skip
-OPPOSITES = [("incr", "decr"), ("up", "down"), ("out", "in"), ("forward", "backward"), ("convex", "concave"),
-             ("uncompress", "compress")]  # fmt: skip
+    ("eyes", r".-eye-bag", 0.6),
+    ("eyes", r".-eye-trans", 1.0),
+    ("eyes", r"", 0.7),
+    ("ears", r".-ear-(trans|scale)", 2.0),
+    ("ears", r"", 1.2),
+    ("chin", r"chin-cleft", 0.4),
+    ("chin", r"", 2.0),
+    ("cheek", r"", 1.6),
+    ("forehead", r"", 1.8),
+    ("eyebrows", r"", 1.4),
+    ("asym", r"asymm", 0),
+    ("asym", r"", 0.45),
+    ("neck", r"(neck-trans|measure|neck-scale-vert)", 0),
+    ("neck", r"", 0.8),
+]
+OPPOSITES = [
+    ("incr", "decr"),
+    ("up", "down"),
+    ("out", "in"),
+    ("forward", "backward"),
+    ("convex", "concave"),
+    ("uncompress", "compress"),
+]
 
 
 @dataclass(frozen=True)
@@ -121,9 +144,7 @@ class _MacroTargets:
     """Age, sex, origin, weight and muscle of adults, blended as MakeHuman does."""
 
     def __init__(self, base: MakeHuman, keep: np.ndarray):
-        self.origin = {
-            key: base.target("macrodetails/{}-{}-{}".format(*key))[keep] for key in product(ORIGINS, SEXES, AGES)
-        }
+        self.origin = {key: base.target("macrodetails/{}-{}-{}".format(*key))[keep] for key in product(ORIGINS, SEXES, AGES)}
         self.build = {
             key: base.target("macrodetails/universal-{}-{}-{}muscle-{}weight".format(*key))[keep]
             for key in product(SEXES, AGES, LEVELS, LEVELS)
@@ -139,9 +160,7 @@ class _MacroTargets:
         size = SIZE * (1 + rng.normal(0, SIZE_SIGMA))
         sex, age = {"female": 1 - male, "male": male}, {"young": 1 - old, "old": old}
         shape = sum(origin[o] * sex[s] * age[a] * target for (o, s, a), target in self.origin.items())
-        shape = shape + sum(
-            sex[s] * age[a] * muscle[m] * weight[w] * target for (s, a, m, w), target in self.build.items()
-        )
+        shape = shape + sum(sex[s] * age[a] * muscle[m] * weight[w] * target for (s, a, m, w), target in self.build.items())
         return shape, size
 
 

@@ -23,8 +23,9 @@ def frontal_visibility(vertices, triangles, eye_vertices, eye_triangles) -> np.n
     cosine = 1 - (k + 0.5) / DIRECTIONS * (1 - np.cos(np.radians(CONE_DEGREES)))
     sine = np.sqrt(1 - cosine**2)
     directions = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
-    scene = trimesh.Trimesh(np.concatenate([vertices, eye_vertices]),
-                            np.concatenate([triangles, eye_triangles + len(vertices)]), process=False)  # fmt: skip
+    scene = trimesh.Trimesh(
+        np.concatenate([vertices, eye_vertices]), np.concatenate([triangles, eye_triangles + len(vertices)]), process=False
+    )
     rays = trimesh.ray.ray_pyembree.RayMeshIntersector(scene)
     normals = vertex_normals(vertices, triangles)
     seen = np.zeros(len(vertices))

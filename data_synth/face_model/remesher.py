@@ -27,8 +27,16 @@ class Remesher:
     ``size`` gives the wanted edge length (n,) mm at points (n, 3).
     """
 
-    def __init__(self, vertices, triangles, curve_of: dict, polylines: list[Polyline], fixed: set[int],
-                 surface: ReferenceSurface, size: Callable[[np.ndarray], np.ndarray]):  # fmt: skip
+    def __init__(
+        self,
+        vertices,
+        triangles,
+        curve_of: dict,
+        polylines: list[Polyline],
+        fixed: set[int],
+        surface: ReferenceSurface,
+        size: Callable[[np.ndarray], np.ndarray],
+    ):
         self.points = [np.array(p, float) for p in vertices]
         self.faces = {i: tuple(f) for i, f in enumerate(np.asarray(triangles).tolist())}
         self.next_face = len(self.faces)
@@ -158,8 +166,9 @@ class Remesher:
             n0, n1 = _normal(*before), _normal(*after)
             if n0 @ n1 < 0.5 * np.linalg.norm(n0) * np.linalg.norm(n1) or np.linalg.norm(n1) < 1e-6:
                 return False
-            if any(np.linalg.norm(after[k] - after[k - 1]) > NEVER_ABOVE * self._target(face[k], face[k - 1])
-                   for k in range(3)):  # fmt: skip
+            if any(
+                np.linalg.norm(after[k] - after[k - 1]) > NEVER_ABOVE * self._target(face[k], face[k - 1]) for k in range(3)
+            ):
                 return False
         return True
 
@@ -223,8 +232,12 @@ class Remesher:
         a, b, c = (points[triangles[:, k]] for k in range(3))
         weight = np.linalg.norm(np.cross(b - a, c - a), axis=1) / self.size(centres) ** 2
         total = np.bincount(triangles.ravel(), weight.repeat(3), len(points))
-        centroid = np.stack([np.bincount(triangles.ravel(), (weight * centres[:, k]).repeat(3), len(points))
-                             for k in range(3)], axis=1) / total[:, None]  # fmt: skip
+        centroid = (
+            np.stack(
+                [np.bincount(triangles.ravel(), (weight * centres[:, k]).repeat(3), len(points)) for k in range(3)], axis=1
+            )
+            / total[:, None]
+        )
         step = centroid - points
         step -= (step * normals).sum(axis=1, keepdims=True) * normals
         free = np.array([x not in self.fixed and not self.curve_edges[x] for x in used])

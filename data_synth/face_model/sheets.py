@@ -21,9 +21,7 @@ def write_sheets(model: FaceModel, folder: Path) -> None:
     pv.OFF_SCREEN = True
     zero = np.zeros_like(model.mean)
     rng = np.random.default_rng(5)
-    heads = [
-        ("", model.neutral(c) - model.mean, model.eyes(c)) for c in rng.normal(size=(16, len(model.identity_modes)))
-    ]
+    heads = [("", model.neutral(c) - model.mean, model.eyes(c)) for c in rng.normal(size=(16, len(model.identity_modes)))]
     _sheet(model, heads, folder / "identities.png", 8, views=((0, 0), (45, 5)), centre=(0, 8, -40), half=125)
     modes = []
     for k, sigma in ((k, s) for k in range(8) for s in (-2, 2)):
@@ -36,16 +34,24 @@ def write_sheets(model: FaceModel, folder: Path) -> None:
     generic += [(n, e, None) for n, e in zip(model.generic_names, model.generic_expressions, strict=True)]
     _sheet(model, generic, folder / "generic.png", 6)
     by_name = dict(zip(model.expression_names, model.expressions, strict=True))
-    close = [("neutral", zero, None)] + [(n, by_name[n], None) for n in (
-        "mouthRollUpper", "mouthRollLower", "mouthShrugLower", "mouthShrugUpper", "mouthPucker", "mouthFunnel",
-        "mouthSmileLeft")]  # fmt: skip
+    close = [("neutral", zero, None)] + [
+        (n, by_name[n], None)
+        for n in (
+            "mouthRollUpper",
+            "mouthRollLower",
+            "mouthShrugLower",
+            "mouthShrugUpper",
+            "mouthPucker",
+            "mouthFunnel",
+            "mouthSmileLeft",
+        )
+    ]
     close += [("roll", by_name["mouthRollUpper"] + by_name["mouthRollLower"], None)]
     close += [("jawOpen + mouthClose", by_name["jawOpen"] + by_name["mouthClose"], None)]
     _sheet(model, close, folder / "mouth.png", 5, size=420, centre=MOUTH[0], half=MOUTH[1])
     eyes = [(f"eyeBlinkLeft {t}", t * by_name["eyeBlinkLeft"], None) for t in (0, 0.25, 0.5, 0.75, 1)]
     eyes += [
-        (n, by_name[n], None)
-        for n in ("cheekSquintLeft", "eyeSquintLeft", "eyeWideLeft", "browDownLeft", "browOuterUpLeft")
+        (n, by_name[n], None) for n in ("cheekSquintLeft", "eyeSquintLeft", "eyeWideLeft", "browDownLeft", "browOuterUpLeft")
     ]
     _sheet(model, eyes, folder / "eye.png", 5, size=420, centre=LEFT_EYE[0], half=LEFT_EYE[1])
     _feature_sheet(model, folder / "features.png")
@@ -70,9 +76,7 @@ def _sheet(model, items, path: Path, columns, size=330, views=((0, 0),), centre=
     """``items``: (label, displacement (V, 3), eyeballs (Q, 3) or None for the mean's)."""
     cells = [(item, view) for item in items for view in views]
     rows = -(-len(cells) // columns)
-    plotter = pv.Plotter(
-        off_screen=True, shape=(rows, columns), window_size=(size * columns, size * rows), border=False
-    )
+    plotter = pv.Plotter(off_screen=True, shape=(rows, columns), window_size=(size * columns, size * rows), border=False)
     shine = {"smooth_shading": True, "ambient": 0.18, "diffuse": 0.85, "specular": 0.12, "specular_power": 12}
     for number, ((label, displacement, eyes), (yaw, pitch)) in enumerate(cells):
         plotter.subplot(number // columns, number % columns)
@@ -87,18 +91,21 @@ def _sheet(model, items, path: Path, columns, size=330, views=((0, 0),), centre=
 def _feature_sheet(model, path: Path) -> None:
     plotter = pv.Plotter(off_screen=True, shape=(1, 2), window_size=(2000, 1000), border=False)
     points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
-    for column, (centre, half, shown) in enumerate(
-        (((0, 38, 10), 58, slice(0, 20)), ((*MOUTH[0],), 30, slice(20, 40)))
-    ):
+    for column, (centre, half, shown) in enumerate((((0, 38, 10), 58, slice(0, 20)), ((*MOUTH[0],), 30, slice(20, 40)))):
         plotter.subplot(0, column)
-        plotter.add_mesh(
-            _poly(model.mean, model.triangles), color=SKIN, show_edges=True, edge_color=INK, line_width=0.6
-        )
+        plotter.add_mesh(_poly(model.mean, model.triangles), color=SKIN, show_edges=True, edge_color=INK, line_width=0.6)
         plotter.add_mesh(_poly(model.eye_mean, model.eye_triangles), color=EYE)
         for number, point in zip(model.feature_ids[shown], points[shown], strict=True):
             plotter.add_mesh(pv.Sphere(radius=half / 100, center=point), color="red")
-            plotter.add_point_labels([point + [0, 0, 6]], [str(number)], font_size=16, text_color="black",
-                                     shape_opacity=0.4, show_points=False, always_visible=True)  # fmt: skip
+            plotter.add_point_labels(
+                [point + [0, 0, 6]],
+                [str(number)],
+                font_size=16,
+                text_color="black",
+                shape_opacity=0.4,
+                show_points=False,
+                always_visible=True,
+            )
         _aim(plotter, centre, half)
     plotter.screenshot(path)
     plotter.close()

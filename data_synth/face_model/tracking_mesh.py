@@ -47,13 +47,21 @@ class TrackingMesh:
 def build_tracking_mesh(base: MakeHuman, rest: np.ndarray) -> TrackingMesh:
     """``rest`` (N, 3) mm: the mean adult on the base mesh, symmetric. Deterministic."""
     half = _HalfHead(base, head_skin(base), rest)
-    remesher = Remesher(half.vertices, half.triangles, half.curve_of, list(half.polylines.values()), half.fixed,
-                        half.surface, _Sizing(base, rest, half))  # fmt: skip
+    remesher = Remesher(
+        half.vertices,
+        half.triangles,
+        half.curve_of,
+        list(half.polylines.values()),
+        half.fixed,
+        half.surface,
+        _Sizing(base, rest, half),
+    )
     points, triangles, curve_of = remesher.run(ITERATIONS)
     operator, on_midline = half.operator(points, triangles, curve_of)
     names = list(half.polylines)
-    curves = {name: _ordered(half.polylines[name], points, [e for e, c in curve_of.items() if names[c] == name])
-              for name in names}  # fmt: skip
+    curves = {
+        name: _ordered(half.polylines[name], points, [e for e, c in curve_of.items() if names[c] == name]) for name in names
+    }
     return _mirrored(operator, triangles, on_midline, curves, base.mirror, rest)
 
 
@@ -175,9 +183,7 @@ class _HalfHead:
         rows = np.arange(len(points)).repeat(3)
         columns = self.fine_ids[corners].ravel()
         from_fine = sp.csr_matrix((weights.ravel(), (rows, columns)), (len(points), len(self.fine_points)))
-        on_midline = np.array(
-            [any(names[c].startswith("midline") for c in curves.get(a, ())) for a in range(len(points))]
-        )
+        on_midline = np.array([any(names[c].startswith("midline") for c in curves.get(a, ())) for a in range(len(points))])
         return (from_fine @ self.to_fine).tocsr(), on_midline
 
 
@@ -192,8 +198,12 @@ class _Sizing:
         at = rest[half.base_ids]
         nose = half.base_ids[(np.abs(at - rest[NOSE_TIP] - [0, -10, -10]) < [23, 16, 20]).all(axis=1)]
         ear = np.linalg.norm(base.target("ears/l-ear-scale-incr")[half.base_ids], axis=1) > 3
-        self.fine = [(cKDTree(lips), 2.2, 0.12), (cKDTree(lids), 2.0, 0.12), (cKDTree(pose[nose]), 2.6, 0.12),
-                     (cKDTree(pose[half.base_ids[ear]]), 3.5, 0.20)]  # fmt: skip
+        self.fine = [
+            (cKDTree(lips), 2.2, 0.12),
+            (cKDTree(lids), 2.0, 0.12),
+            (cKDTree(pose[nose]), 2.6, 0.12),
+            (cKDTree(pose[half.base_ids[ear]]), 3.5, 0.20),
+        ]
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         size = np.minimum(4.25 + 0.10 * np.clip(frontness(points, self.rest), 0, None), 7.2)
@@ -235,5 +245,10 @@ def _mirrored(half, triangles, on_midline, curves, base_mirror, rest) -> Trackin
     frontal = frontness(operator @ rest, rest) < 0
     order = np.argsort(~frontal, kind="stable")
     rank = np.argsort(order)
-    return TrackingMesh(operator.tocsr()[order], rank[triangles], rank[mirror][order], int(frontal.sum()),
-                        {name: rank[chain] for name, chain in curves.items()})  # fmt: skip
+    return TrackingMesh(
+        operator.tocsr()[order],
+        rank[triangles],
+        rank[mirror][order],
+        int(frontal.sum()),
+        {name: rank[chain] for name, chain in curves.items()},
+    )

@@ -39,11 +39,13 @@ def write_pages(docs: Path) -> None:
 def parameters_page() -> str:
     """The table of :func:`adaptiveface.parameters.describe`, one section per stage."""
     lines = [
-        "# Parameters", "",
+        "# Parameters",
+        "",
         "Generated from `adaptiveface.parameters`, where every parameter is defined once: the same fields make the",
         "command line's `--set stage.name=value`, the sliders of the notebooks and this table. The paper's value is",
-        "given where the default differs; `Parameters.paper()` uses them all.", "",
-    ]  # fmt: skip
+        "given where the default differs; `Parameters.paper()` uses them all.",
+        "",
+    ]
     stage = None
     for row in parameters.describe():
         if row["stage"] != stage:
@@ -121,9 +123,11 @@ def notebooks_index(docs: Path) -> str:
     """All notebooks with their pictures, and the solutions."""
     names = [path.relative_to(NOTEBOOKS).with_suffix("").as_posix() for path in _notebooks()]
     lines = [
-        "# Notebooks", "",
-        "`adaptiveface lab` opens them in JupyterLab, where everything moves. Here they are to be read.", "",
-    ]  # fmt: skip
+        "# Notebooks",
+        "",
+        "`adaptiveface lab` opens them in JupyterLab, where everything moves. Here they are to be read.",
+        "",
+    ]
     for title, chosen in (
         ("Stage by stage", [name for name in names if "/" not in name]),
         ("Solutions of the exercises", [name for name in names if "/" in name]),

@@ -18,11 +18,25 @@ from PIL import Image
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync"]  # fmt: skip
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
 #: Console errors that JupyterLab itself makes without network or with an empty settings folder.
-HARMLESS = ("favicon", "the server responded with a status of 404", "net::ERR_", "Failed to load resource",
-            "Content Security Policy", "service worker", "ResizeObserver")  # fmt: skip
+HARMLESS = (
+    "favicon",
+    "the server responded with a status of 404",
+    "net::ERR_",
+    "Failed to load resource",
+    "Content Security Policy",
+    "service worker",
+    "ResizeObserver",
+)
 
 _IDLE = "() => window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
 #: Counts the pictures that every widget image has really decoded, with their times.
@@ -43,10 +57,18 @@ def jupyter_lab(folder: Path, notebooks=(), **environment):
     folders = ("JUPYTER_CONFIG_DIR", "JUPYTER_RUNTIME_DIR", "IPYTHONDIR", "JUPYTERLAB_WORKSPACES_DIR")
     private = {name: str(folder / ".jupyter" / name) for name in (*folders, "JUPYTERLAB_SETTINGS_DIR")}
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "ADAPTIVEFACE_STRICT")} | private | environment
-    arguments = ["--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}", "--ServerApp.port_retries=0",
-                 "--IdentityProvider.token=", "--LabApp.expose_app_in_browser=True", "--LabApp.news_url=",
-                 "--LabApp.extension_manager=readonly",  # asks no package registry
-                 f"--ServerApp.root_dir={folder}"]  # fmt: skip
+    arguments = [
+        "--no-browser",
+        "--allow-root",
+        "--ip=127.0.0.1",
+        f"--port={port}",
+        "--ServerApp.port_retries=0",
+        "--IdentityProvider.token=",
+        "--LabApp.expose_app_in_browser=True",
+        "--LabApp.news_url=",
+        "--LabApp.extension_manager=readonly",  # asks no package registry
+        f"--ServerApp.root_dir={folder}",
+    ]
     with open(folder / "lab.log", "w") as log:
         server = subprocess.Popen([sys.executable, "-m", "jupyterlab", *arguments], env=env, stdout=log, stderr=log)
         try:
@@ -99,8 +121,10 @@ def open_notebook(page, address: str, name: str) -> None:
     page.wait_for_function(_IDLE, timeout=90_000)
     page.evaluate(_WATCH)
     # All cells in the page at once: JupyterLab otherwise takes those out that are not in sight.
-    page.evaluate("() => { const p = window.jupyterapp.shell.currentWidget; p.content.notebookConfig = "
-                  "{...p.content.notebookConfig, windowingMode: 'none'}; }")  # fmt: skip
+    page.evaluate(
+        "() => { const p = window.jupyterapp.shell.currentWidget; p.content.notebookConfig = "
+        "{...p.content.notebookConfig, windowingMode: 'none'}; }"
+    )
 
 
 def run_cells(page, last: int, timeout: float = 180.0) -> None:

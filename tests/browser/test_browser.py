@@ -15,9 +15,7 @@ pytest.importorskip("playwright", reason="playwright is not installed")
 import lab  # noqa: E402
 
 if lab.CHROMIUM is None:
-    pytest.skip(
-        "no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True
-    )
+    pytest.skip("no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True)
 
 LAPLACIAN, PCA = "05_laplacian_deformation.ipynb", "06_incremental_pca.ipynb"
 
@@ -52,9 +50,7 @@ def check_drag(page, face, chart, parameter: str, by: float) -> None:
     before_face, before_chart = lab.pixels(face), lab.pixels(chart)
     lab.drag(page, parameter, by)
     assert lab.wait_for_change(page, face, before_face) > 0.005, f"{parameter} does not change the face"
-    assert lab.wait_for_change(page, chart, before_chart, least=0.0005) > 0.0005, (
-        f"{parameter} does not change the chart"
-    )
+    assert lab.wait_for_change(page, chart, before_chart, least=0.0005) > 0.0005, f"{parameter} does not change the chart"
     after = lab.pixels(face)
     assert after.std() > 15 and after.mean() > 60, "the face went black: drawn on the wrong thread?"
 

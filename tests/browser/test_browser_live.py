@@ -14,9 +14,7 @@ pytest.importorskip("playwright", reason="playwright is not installed")
 import lab  # noqa: E402
 
 if lab.CHROMIUM is None:
-    pytest.skip(
-        "no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True
-    )
+    pytest.skip("no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True)
 
 LIVE = "live_sensor.ipynb"
 STATUS, FIGURES = ".adaptiveface-live-status", ".adaptiveface-live-figures"

@@ -22,9 +22,7 @@ import nbformat  # noqa: E402
 from adaptiveface.parameters import describe  # noqa: E402
 
 if lab.CHROMIUM is None:
-    pytest.skip(
-        "no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True
-    )
+    pytest.skip("no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True)
 
 NOTEBOOKS = sorted(path.name for path in lab.NOTEBOOKS.glob("*.ipynb"))
 #: What makes the widgets of the notebooks; the cells after the last of them are not run.
