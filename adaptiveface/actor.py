@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,10 @@ from .feature_set import FeatureSet, from_arrays
 from .files import replacing
 from .frame import FEATURE_IDS, LANDMARKS
 from .npz import Field, check_indices, load_checked
+from .polydata import cloud, expression_weights, surface
+
+if TYPE_CHECKING:
+    from .polydata import PolyData
 
 #: A rig of 100,000 vertices and 100 expressions has half of it.
 MAX_BYTES = 256 << 20
@@ -70,6 +75,21 @@ class Actor:
     def feature_vertices(self) -> np.ndarray:
         """(40,) int32: the vertex nearest to each feature."""
         return self.feature_triangles[np.arange(len(self.feature_triangles)), self.feature_weights.argmax(axis=1)]
+
+    def mesh(self, **weights: float) -> PolyData:
+        """The neutral face plus expressions as ``pyvista.PolyData`` in mm: ``actor.mesh(jawOpen=0.7)``.
+
+        Axes: x out of the face, y to the subject's left, z up. Arrays: ``displacement`` (N, 3) from the neutral, its length
+        ``distance`` (N,), ``normals`` (N, 3). Raises :class:`ParameterError` for a name that is no expression, and
+        :class:`MissingExtraError` without pyvista.
+        """
+        x = expression_weights(self.expression_names, weights)
+        moved = np.tensordot(x, self.blendshapes, axes=1)
+        return surface(self.neutral + moved, self.triangles, displacement=moved, distance=np.linalg.norm(moved, axis=1))
+
+    def scan_mesh(self) -> PolyData:
+        """The points of the neutral scan as ``pyvista.PolyData``, axes as in :meth:`mesh`; empty where none were kept."""
+        return cloud(self.scan_points, self.scan_normals)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write ``actor.npz`` (float32), whole or not at all."""

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .errors import MissingExtraError
+from .errors import MissingExtraError, ParameterError
 from .mesh import transform_points
+from .polydata import correctives, surface
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from .polydata import PolyData
 
 
 @dataclass(frozen=True, repr=False)
@@ -98,6 +101,50 @@ class ResultAccess:
         All at once: of a long take ask frame by frame, ``result[i].head_vertices``.
         """
         return np.stack([to_head(m, v) for m, v in zip(self.rigid, self.vertices, strict=True)])
+
+    def mesh(self, frame: int, stage: str = "v4", reference: np.ndarray | str = "v1") -> PolyData:
+        """One frame's mesh for pyvista.
+
+        Parameters
+        ----------
+        frame : int
+            Its number, negative from the end.
+        stage : str
+            "v1" to "v4"; all but v4 are in the result with ``--keep-stages`` only.
+        reference : numpy.ndarray or str
+            What the displacement is measured from: (N, 3) mm in the head frame, as ``actor.neutral``, or a stage. The
+            default is the blendshape fit v1; where it was not kept, there is no displacement.
+
+        Returns
+        -------
+        pyvista.PolyData
+            In mm, the head held still: x out of the face, y to the subject's left, z up. Arrays: ``displacement`` (N, 3)
+            from the reference, its length ``distance`` (N,), ``corrective 1`` ... (N, 3) as learned at the end, each scaled
+            to move up to 1 mm, ``normals`` (N, 3).
+
+        Raises
+        ------
+        IndexError, ParameterError, MissingExtraError
+            No such frame; no such stage, or not kept; no pyvista.
+        """
+        index = range(len(self))[frame]
+        vertices = self._stage(index, stage)
+        if isinstance(reference, str):
+            missing = reference == "v1" and self.v1 is None
+            reference = None if missing else self._stage(index, reference)
+        moved = None if reference is None else vertices - reference
+        length = None if moved is None else np.linalg.norm(moved, axis=1)
+        arrays = correctives(self.correctives)
+        return surface(vertices, self.triangles, displacement=moved, distance=length, **arrays)
+
+    def _stage(self, index: int, stage: str) -> np.ndarray:
+        """(N, 3) head frame, mm: a stage's mesh of a frame."""
+        meshes = {"v1": self.v1, "v2": self.v2, "v3": self.v3, "v4": self.vertices}
+        if stage not in meshes:
+            raise ParameterError(f"stage {stage!r} is none of {', '.join(meshes)}")
+        if meshes[stage] is None:
+            raise ParameterError(f"stage {stage!r} is not in this result: track with --keep-stages")
+        return to_head(self.rigid[index], meshes[stage][index])
 
     def curves(self, initial: bool = False, gaps: bool = False) -> DataFrame:
         """The coefficients as a table: a row per frame, a column per expression, the time as index.

@@ -654,3 +654,19 @@ def test_following_a_drag_does_not_write_an_older_wish_over_a_newer_one(session)
         view.close()
 
     asyncio.run(scenario())
+
+
+def test_a_workbench_hands_its_meshes_to_pyvista(session):
+    bench = bench_of(session, start=8)
+    heat = np.linspace(0, 1, len(session.actor.neutral))
+    mesh = bench.mesh("v2", heat)
+    np.testing.assert_allclose(mesh.points, bench.result.v2[:, [2, 0, 1]], atol=1e-3)
+    moved = np.linalg.norm(bench.result.v2 - session.actor.neutral, axis=1)
+    np.testing.assert_allclose(mesh["distance"], moved, atol=1e-9)
+    assert mesh.active_scalars_name == "heat" and np.array_equal(mesh["heat"], heat)
+    known = bench.replay.model_after(8).correctives.shape[1]
+    assert known > 0 and f"corrective {known}" in mesh.array_names and f"corrective {known + 1}" not in mesh.array_names
+    assert not mesh["corrective 1"][~session.actor.frontal].any(), "outside the frontal region nothing is learned"
+    with pytest.raises(ParameterError, match="none of v1, v2, v3, v4"):
+        bench.mesh("v7")
+    bench.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,13 @@ from ..face_model import FaceModel
 from ..frame import Features2D, RgbdFrame
 from ..mesh import surface_points, transform_points
 from ..parameters import FusionParameters
+from ..polydata import cloud
 from .plausible import check_features
 from .registration import DepthView, Registration, align, depth_view, evaluate, feature_pose
 from .volume import TsdfVolume
+
+if TYPE_CHECKING:
+    from ..polydata import PolyData
 
 DEFAULTS = FusionParameters()
 _MIN_POINTS = 1000
@@ -48,6 +52,14 @@ class FusedScan:
     residuals: np.ndarray
     features: tuple[Features2D | None, ...]
     cameras: tuple[Camera, ...]
+
+    def mesh(self) -> PolyData:
+        """The points as ``pyvista.PolyData`` in mm: x out of the face, y to the subject's left, z up.
+
+        Arrays: ``normals`` (P, 3), ``views`` (P,): about the number of frames that saw the point. Raises
+        :class:`MissingExtraError` without pyvista.
+        """
+        return cloud(self.points, self.normals, views=self.weights)
 
 
 def head_box(model: FaceModel, margin: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +15,13 @@ from ..errors import FileFormatError, ParameterError
 from ..face_model import FaceModel, embedded_face_model
 from ..files import replacing
 from ..npz import Field, check_indices, load_checked
+from ..polydata import expression_weights, surface
 from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
 from .shape_names import driven_shapes
+
+if TYPE_CHECKING:
+    from ..polydata import PolyData
 
 #: Displacements in character files are whole numbers of this many millimetres.
 STEP_MM = 0.04
@@ -63,6 +68,21 @@ class Character:
         """(V, 3) mm, or (F, V, 3), for weights (E,) or (F, E) of the expressions."""
         flat = self.expressions.reshape(len(self.expressions), self.neutral.size)
         return self.neutral + (weights @ flat).reshape(*np.shape(weights)[:-1], -1, 3)
+
+    def mesh(self, **weights: float) -> PolyData:
+        """The neutral face plus expressions as ``pyvista.PolyData`` in mm: ``character.mesh(jawOpen=0.7)``.
+
+        Axes: x out of the face, y to the subject's left, z up. Arrays: ``displacement`` (V, 3) from the neutral, its length
+        ``distance`` (V,), ``normals`` (V, 3), and ``colours`` (V, 3) uint8 where the character has them. Raises
+        :class:`ParameterError` for a name that is no expression, and :class:`MissingExtraError` without pyvista.
+        """
+        vertices = self.shape(expression_weights(self.expression_names, weights))
+        moved = vertices - self.neutral
+        mesh = surface(vertices, self.triangles, displacement=moved, distance=np.linalg.norm(moved, axis=1))
+        if self.colours is not None:
+            mesh["colours"] = self.colours
+            mesh.set_active_scalars(None)
+        return mesh
 
     @property
     def rows(self) -> np.ndarray:

@@ -9,7 +9,9 @@ from collections.abc import Callable, Sequence
 import ipywidgets as widgets
 import numpy as np
 
+from ..errors import ParameterError
 from ..parameters import Parameters
+from ..polydata import correctives, surface
 from ..tracking.tracker import FaceTracker
 from ..tracking.verdict import verdict_of
 from .charts import LiveChart
@@ -109,6 +111,41 @@ class Workbench:
     def result(self):
         """The tracked frame that is shown."""
         return self.replay.results[self.player.index]
+
+    def mesh(self, stage: str = "v4", heat: np.ndarray | None = None):
+        """A stage of the frame on show as ``pyvista.PolyData`` in mm: x out of the face, y to the subject's left, z up.
+
+        Parameters
+        ----------
+        stage : str
+            "v1" to "v4".
+        heat : numpy.ndarray, optional
+            (N,) values of your own, for example ``measures.error(bench.result, frame, "v2")``: the array ``heat``, and what
+            ``plot()`` colours the mesh by.
+
+        Returns
+        -------
+        pyvista.PolyData
+            Arrays: ``displacement`` (N, 3) from the actor's neutral, its length ``distance`` (N,), ``corrective 1`` ...
+            (N, 3) as learned up to this frame, each scaled to move up to 1 mm, ``normals`` (N, 3).
+
+        Raises
+        ------
+        ParameterError, MissingExtraError
+            No such stage; pyvista is not installed.
+        """
+        if stage not in ("v1", "v2", "v3", "v4"):
+            raise ParameterError(f"stage {stage!r} is none of v1, v2, v3, v4")
+        actor, vertices = self.session.actor, getattr(self.result, stage)
+        learned = self.replay.model_after(self.player.index).correctives
+        shapes = np.zeros((learned.shape[1], *actor.neutral.shape))
+        shapes[:, actor.frontal] = learned.T.reshape(len(shapes), -1, 3)
+        moved = vertices - actor.neutral
+        length = np.linalg.norm(moved, axis=1)
+        mesh = surface(vertices, actor.triangles, displacement=moved, distance=length, heat=heat, **correctives(shapes))
+        if heat is not None:
+            mesh.set_active_scalars("heat")
+        return mesh
 
     def set(self, **values) -> None:
         """Move sliders from code: ``set(laplacian__w2=100)``."""
