@@ -64,6 +64,23 @@ def boundary_edges(triangles: np.ndarray) -> np.ndarray:
     return unique[count == 1]
 
 
+def boundary_loops(triangles: np.ndarray, n_vertices: int) -> list[np.ndarray]:
+    """The vertices of every boundary loop (eyes, mouth, neck), in the order in which its triangles run along it."""
+    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    keys = directed[:, 0] * n_vertices + directed[:, 1]
+    single = ~np.isin(keys, directed[:, 1] * n_vertices + directed[:, 0])
+    after = dict(directed[single].tolist())
+    loops = []
+    while after:
+        start, current = after.popitem()
+        loop = [start]
+        while current != start and current in after:
+            loop.append(current)
+            current = after.pop(current)
+        loops.append(np.array(loop))
+    return sorted(loops, key=lambda loop: int(loop.min()))
+
+
 def adjacency(triangles: np.ndarray, n_vertices: int) -> sp.csr_matrix:
     """(N, N) symmetric 0/1 matrix of the vertices joined by an edge."""
     pairs = edges(triangles)

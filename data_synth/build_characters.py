@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from build_face_model import SUBJECTS, sampled_base
 from characters.expressions import transferred_units
-from characters.parts import Part, base_part, eyeball, grow_tusks, mouth_cavity, sphere_of
+from characters.parts import Part, base_part, eyeball, grow_tusks, mouth_cavity
 from characters.recipes import RECIPES, Recipe, side_names
 from characters.skin import Landmarks, add_relief, paint, relief, sculpt
 from face_model.anatomy import find_anatomy
@@ -25,10 +25,10 @@ from face_model.mouth import separate_lips
 from face_model.tracking_mesh import TrackingMesh, build_tracking_mesh
 
 from adaptiveface.face_model import FaceModel, embedded_face_model
-from adaptiveface.mesh import rigid_alignment, transform_points
+from adaptiveface.insides.head import sphere_of
+from adaptiveface.mesh import boundary_loops, rigid_alignment, transform_points
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
 from adaptiveface.retargeting.character import Character
-from adaptiveface.synthetic.contacts import boundary_loops
 
 TEETH, TONGUE, CAVITY = (232, 226, 208), (186, 92, 96), (70, 26, 28)
 

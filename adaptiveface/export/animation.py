@@ -29,7 +29,8 @@ class AnimatedMesh:
 
     neutral (V, 3) mm, head frame; triangles (T, 3); target_names (E,); targets (E, V, 3) mm, displacements at weight 1;
     weights (F, E); timestamps (F,) s, strictly increasing from 0; rigid (F, 4, 4) head to view frame, mm: x right, y
-    up, z towards the viewer; colours (V, 3) uint8 sRGB or None.
+    up, z towards the viewer; colours (V, 3) uint8 sRGB or None; inside: parts that share the head's motion and have
+    targets and weights of their own, or None.
     """
 
     name: str
@@ -41,6 +42,7 @@ class AnimatedMesh:
     timestamps: np.ndarray
     rigid: np.ndarray
     colours: np.ndarray | None = None
+    inside: AnimatedMesh | None = None
 
     def __len__(self) -> int:
         return len(self.weights)
@@ -60,6 +62,26 @@ class AnimatedMesh:
         flat = self.targets.reshape(len(self.targets), self.neutral.size)
         vertices = self.neutral + (self.weights[frame] @ flat).reshape(-1, 3)
         return transform_points(self.rigid[frame], vertices) if posed else vertices
+
+    @property
+    def whole_triangles(self) -> np.ndarray:
+        """(T + T', 3): with those of the inside parts, whose vertices follow those of the skin."""
+        if self.inside is None:
+            return self.triangles
+        return np.concatenate([self.triangles, self.inside.triangles + len(self.neutral)])
+
+    @property
+    def whole_colours(self) -> np.ndarray | None:
+        """(V + V', 3) uint8 sRGB with those of the inside parts, or None where nothing has colours."""
+        if self.inside is None:
+            return self.colours
+        skin = np.tile(np.array(SKIN, np.uint8), (len(self.neutral), 1)) if self.colours is None else self.colours
+        return np.concatenate([skin, self.inside.colours])
+
+    def whole_shape(self, frame: int) -> np.ndarray:
+        """(V + V', 3) mm in the view frame: the skin, and behind it the inside parts."""
+        skin = self.shape(frame, posed=True)
+        return skin if self.inside is None else np.concatenate([skin, self.inside.shape(frame, posed=True)])
 
     @property
     def codes(self) -> np.ndarray:

@@ -26,6 +26,7 @@ from ..retargeting.smoothing import FILTERS, Smoothing
 from ..timing import clean_times, increasing
 from .animation import AnimatedMesh, actor_animation, character_animation, size_text, with_correctives
 from .arguments import FORMATS
+from .inside_parts import actor_insides, with_insides
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class ExportOptions:
     smoothing: Smoothing | None = None
     correctives: bool = False
     unit: float | None = None
+    insides: bool = True
 
     @property
     def avatar(self) -> bool:
@@ -54,7 +56,7 @@ def run_export(args: argparse.Namespace) -> int:
     result = _timed(Result.load(args.result), args.result)
     actor = _actor(args.actor, args.result.parent, result)
     options = ExportOptions(
-        args.character, _coefficients(args, actor), _smoothing(args), args.correctives, UNITS.get(args.unit)
+        args.character, _coefficients(args, actor), _smoothing(args), args.correctives, UNITS.get(args.unit), args.insides
     )
     if args.format == "arkit-csv":
         from .arkit_csv import write_arkit_csv
@@ -77,7 +79,7 @@ def run_export(args: argparse.Namespace) -> int:
             names = COEFFICIENTS[::-1]
             meshes = [animated(result, actor, replace(options, coefficients=name)) for name in names]
             meshes = [replace(m, name=f"{m.name}, {name}") for m, name in zip(meshes, names, strict=True)]
-        write_performance_video(out, result, meshes, source, args.turntable)
+        write_performance_video(out, result, meshes, source, args.turntable, actor=actor, insides=args.insides)
         print(f"{out}: {len(result)} frames")
         return 0
     if args.format == "glb" and options.avatar:
@@ -185,7 +187,8 @@ def _actor(path: Path | None, folder: Path, result: Result) -> Actor | None:
 def animated(result: Result, actor: Actor | None, options: ExportOptions) -> AnimatedMesh:
     """The animated mesh that the options ask for; says on stdout which shapes will not show."""
     if options.character == "actor":
-        return actor_animation(result, actor)
+        mesh = actor_animation(result, actor)
+        return with_insides(mesh, result, actor) if options.insides else mesh
     character = load_character(options.character, options.unit)
     for line in coverage(arkit_weights(driving_names(result, options.coefficients)), character):
         print(line)
@@ -203,12 +206,22 @@ def animated_character(result: Result, actor: Actor | None, character: Character
 
 
 def write_performance_video(
-    path: Path, result: Result, meshes: list[AnimatedMesh], source=None, turntable: bool = False, step: int = 1
+    path: Path,
+    result: Result,
+    meshes: list[AnimatedMesh],
+    source=None,
+    turntable: bool = False,
+    step: int = 1,
+    actor: Actor | None = None,
+    insides: bool = True,
 ) -> None:
-    """Input (where there is a source), tracked mesh and animated characters side by side; every ``step``-th frame."""
+    """Input (where there is a source), tracked mesh and animated characters side by side; every ``step``-th frame.
+
+    ``insides``: the tracked mesh has eyes, teeth and tongue, fitted to ``actor`` where there is one.
+    """
     from .video import character_panel, input_panel, tracked_panel, turntable_panel, write_film
 
-    panels, labels = [tracked_panel(result)], ["tracked"]
+    panels, labels = [tracked_panel(result, actor_insides(result, actor) if insides else None)], ["tracked"]
     if source is not None:
         panels, labels = [input_panel(source, result), *panels], ["input", *labels]
     for mesh in meshes:
@@ -237,7 +250,7 @@ def write_demo_character(name: str, result: Result, actor: Actor, source, folder
         write_avatar(paths[0], options, lambda: retarget(result, actor=actor), lambda c: list(c.notes))
     else:
         write_glb(paths[0], mesh)
-    write_performance_video(paths[1], result, [mesh], source, step=2)
+    write_performance_video(paths[1], result, [mesh], source, step=2, actor=actor)
     return paths
 
 

@@ -101,7 +101,7 @@ class _Packing:
 
     def __init__(self, mesh: AnimatedMesh, compact: bool) -> None:
         self.compact = compact
-        largest = max(np.abs(mesh.neutral).max(), np.abs(mesh.targets).max(initial=0.0))
+        largest = max(max(np.abs(m.neutral).max(), np.abs(m.targets).max(initial=0.0)) for m in (mesh, mesh.inside) if m)
         self.scale = METRES * float(largest) if compact else 1.0
 
     def lengths(self, millimetres: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
 
     Node "performance" carries node "head", which is animated by the head's pose and rests in that of the first frame, so
     that viewers frame the face; "performance" is placed so that the median position of the head is the origin. Target
-    names are in ``mesh.extras.targetNames``.
+    names are in ``mesh.extras.targetNames``. Inside parts are the node "insides", a child of "head".
     """
     builder, packing = _Builder(), _Packing(mesh, compact)
     document = {
@@ -149,6 +149,8 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
         ],
         "animations": [_animation(builder, mesh, packing)],
     }
+    if mesh.inside is not None:
+        _add_inside(document, builder, mesh.inside, packing)
     if compact:
         document["nodes"][1]["scale"] = 3 * [packing.scale]
         document |= {"extensionsUsed": [_QUANTIZED], "extensionsRequired": [_QUANTIZED]}
@@ -158,11 +160,28 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
     _write(path, document, builder.binary)
 
 
+def _add_inside(document: dict, builder: _Builder, inside: AnimatedMesh, packing: _Packing) -> None:
+    """A second mesh that the head carries. Its channel is the first, because early readers took the last for the skin's."""
+    document["nodes"][1]["children"] = [2]
+    document["nodes"].append({"name": "insides", "mesh": 1})
+    document["meshes"].append(_mesh(builder, inside, packing, material=1))
+    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.3}
+    document["materials"].append({"name": "insides", "doubleSided": True, "pbrMetallicRoughness": surface})
+    if inside.targets.size:
+        animation = document["animations"][0]
+        values = np.ascontiguousarray(packing.weights(inside.weights)).ravel()
+        output = builder.accessor(values, **_normalized(values))
+        times = animation["samplers"][0]["input"]
+        animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
+        channel = {"sampler": len(animation["samplers"]) - 1, "target": {"node": 2, "path": "weights"}}
+        animation["channels"].insert(0, channel)
+
+
 def _metres(vector: np.ndarray) -> list[float]:
     return [float(v) for v in METRES * np.asarray(vector, float)]
 
 
-def _mesh(builder: _Builder, mesh: AnimatedMesh, packing: _Packing) -> dict:
+def _mesh(builder: _Builder, mesh: AnimatedMesh, packing: _Packing, material: int = 0) -> dict:
     triangles = mesh.triangles.astype(np.uint16 if len(mesh.neutral) <= 65535 else np.uint32)
     normals = unit_normals(mesh.neutral, mesh.triangles)
     attributes = {
@@ -183,7 +202,8 @@ def _mesh(builder: _Builder, mesh: AnimatedMesh, packing: _Packing) -> dict:
                 "NORMAL": builder.sparse(packing.normals(turned)),
             }
         )
-    primitive = {"attributes": attributes, "indices": builder.accessor(triangles.ravel(), _ELEMENTS), "material": 0}
+    primitive = {"attributes": attributes, "indices": builder.accessor(triangles.ravel(), _ELEMENTS)}
+    primitive["material"] = material
     entry = {"name": mesh.name, "primitives": [primitive]}
     if targets:
         primitive["targets"] = targets
@@ -239,6 +259,8 @@ def read_glb_animation(path: str | os.PathLike) -> AnimatedMesh:
         primitive = mesh["primitives"][0]
         curves = {}
         for channel in file.items("animations")[0]["channels"]:
+            if channel["target"].get("node") != node:
+                continue
             sampler = file.items("animations")[0]["samplers"][channel["sampler"]]
             times = file.accessor(sampler["input"]).astype(float)[:, 0]
             curves[channel["target"]["path"]] = file.accessor(sampler["output"]).astype(float)

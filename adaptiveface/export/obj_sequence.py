@@ -52,7 +52,7 @@ def is_of_sequence(name: str) -> bool:
 
 def sequence_bytes(mesh: AnimatedMesh, unit: str = "m") -> int:
     """About how many bytes :func:`write_obj_sequence` writes."""
-    return len(mesh) * len(obj_text(mesh.shape(0, posed=True) - mesh.centre, mesh.triangles, mesh.colours, unit))
+    return len(mesh) * len(obj_text(mesh.whole_shape(0) - mesh.centre, mesh.whole_triangles, mesh.whole_colours, unit))
 
 
 def write_obj_sequence(
@@ -66,8 +66,8 @@ def write_obj_sequence(
     """
     with replacing_folder(folder, is_of_sequence) as new:
         for frame in progress(range(len(mesh))):
-            vertices = mesh.shape(frame, posed=True) - mesh.centre
-            write_obj(new / f"face_{frame:05d}.obj", vertices, mesh.triangles, mesh.colours, unit)
+            vertices = mesh.whole_shape(frame) - mesh.centre
+            write_obj(new / f"face_{frame:05d}.obj", vertices, mesh.whole_triangles, mesh.whole_colours, unit)
         rows = [f"{frame},{time:.6f}" for frame, time in enumerate(mesh.timestamps)]
         (new / "timestamps.csv").write_text("\n".join(["frame,timestamp", *rows]) + "\n", encoding="ascii")
 

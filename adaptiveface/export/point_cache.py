@@ -26,15 +26,15 @@ MAX_BYTES = 4 << 30
 
 
 def samples(mesh: AnimatedMesh) -> Iterator[np.ndarray]:
-    """(V, 3) mm at every whole frame, the head's median place at the origin; between two frames of the take, linear."""
+    """(V, 3) mm, inside parts last, at every whole frame, the head's median place at the origin; linear in between."""
     codes = mesh.codes
     for code in range(count_samples(mesh)):
         after = int(np.searchsorted(codes, code - 1e-9))
         if after >= len(codes) or abs(codes[after] - code) < 1e-9 or after == 0:
-            yield mesh.shape(min(after, len(codes) - 1), posed=True) - mesh.centre
+            yield mesh.whole_shape(min(after, len(codes) - 1)) - mesh.centre
             continue
         share = (code - codes[after - 1]) / (codes[after] - codes[after - 1])
-        pair = mesh.shape(after - 1, posed=True), mesh.shape(after, posed=True)
+        pair = mesh.whole_shape(after - 1), mesh.whole_shape(after)
         yield (1 - share) * pair[0] + share * pair[1] - mesh.centre
 
 
@@ -43,9 +43,13 @@ def count_samples(mesh: AnimatedMesh) -> int:
     return int(np.floor(mesh.codes[-1] + 1e-9)) + 1
 
 
+def _points(mesh: AnimatedMesh) -> int:
+    return len(mesh.neutral) + (0 if mesh.inside is None else len(mesh.inside.neutral))
+
+
 def cache_bytes(mesh: AnimatedMesh) -> int:
     """About how many bytes :func:`write_point_cache` writes into the cache."""
-    return 12 * count_samples(mesh) * len(mesh.neutral)
+    return 12 * count_samples(mesh) * _points(mesh)
 
 
 def rest_mesh(path: str | os.PathLike) -> Path:
@@ -60,7 +64,7 @@ def write_point_cache(
 
     ``unit`` of lengths: "m", "cm" or "mm". ``progress`` wraps the frames (``tqdm``).
     """
-    path, count, points = Path(path), count_samples(mesh), len(mesh.neutral)
+    path, count, points = Path(path), count_samples(mesh), _points(mesh)
     big = path.suffix.lower() == ".mdd"
     with replacing(path) as temporary, open(temporary, "wb") as stream:
         if big:
@@ -70,7 +74,7 @@ def write_point_cache(
             stream.write(_PC2.pack(_MAGIC, 1, points, 0.0, 1.0, count))
         for number, vertices in enumerate(progress(samples(mesh), total=count)):
             if number == 0:
-                write_obj(rest_mesh(path), vertices, mesh.triangles, mesh.colours, unit)
+                write_obj(rest_mesh(path), vertices, mesh.whole_triangles, mesh.whole_colours, unit)
             stream.write((vertices / UNITS[unit]).astype(">f4" if big else "<f4").tobytes())
 
 

@@ -125,16 +125,23 @@ def _stage(pxr, mesh: AnimatedMesh):
     skeleton.CreateRestTransformsAttr(identity)
     names = prim_names(mesh.target_names)
     body = _write_mesh(pxr, stage, mesh, names)
-    _write_material(pxr, stage, mesh, body)
-    _write_animation(pxr, stage, mesh, names)
+    UsdGeom.Scope.Define(stage, "/performance/materials")
+    _write_material(pxr, stage, mesh, body, "skin")
+    weights = mesh.weights
+    if mesh.inside is not None:  # the one animation moves both meshes
+        more = prim_names(mesh.inside.target_names, taken=names)
+        inside = _write_mesh(pxr, stage, mesh.inside, more, taken=(body.GetPrim().GetName(),))
+        _write_material(pxr, stage, mesh.inside, inside, "insides")
+        names, weights = names + more, np.column_stack([weights, mesh.inside.weights])
+    _write_animation(pxr, stage, mesh, names, weights)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets(["/performance/animation"])
     return stage
 
 
-def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str]):
+def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str], taken: tuple[str, ...] = ()):
     UsdGeom, UsdSkel, Vt = pxr.UsdGeom, pxr.UsdSkel, pxr.Vt
-    name = prim_names([mesh.name], taken=("skeleton", "animation", "materials"))[0]
+    name = prim_names([mesh.name], taken=("skeleton", "animation", "materials", *taken))[0]
     body = UsdGeom.Mesh.Define(stage, f"/performance/{name}")
     points = (METRES * mesh.neutral).astype(np.float32)
     normals = unit_normals(mesh.neutral, mesh.triangles)
@@ -167,12 +174,12 @@ def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str]):
     return body
 
 
-def _write_material(pxr, stage, mesh: AnimatedMesh, body) -> None:
-    """Skin that takes its colour from the vertices, which ``displayColor`` holds, or one colour for all."""
+def _write_material(pxr, stage, mesh: AnimatedMesh, body, name: str) -> None:
+    """A surface that takes its colour from the vertices, which ``displayColor`` holds, or one colour for all."""
     UsdGeom, UsdShade, Sdf, Gf, Vt = pxr.UsdGeom, pxr.UsdShade, pxr.Sdf, pxr.Gf, pxr.Vt
-    UsdGeom.Scope.Define(stage, "/performance/materials")
-    material = UsdShade.Material.Define(stage, "/performance/materials/skin")
-    surface = UsdShade.Shader.Define(stage, "/performance/materials/skin/surface")
+    path = f"/performance/materials/{name}"
+    material = UsdShade.Material.Define(stage, path)
+    surface = UsdShade.Shader.Define(stage, f"{path}/surface")
     surface.CreateIdAttr("UsdPreviewSurface")
     surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
     surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
@@ -184,7 +191,7 @@ def _write_material(pxr, stage, mesh: AnimatedMesh, body) -> None:
     else:
         linear = linear_colours(mesh.colours).astype(np.float32)
         body.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(Vt.Vec3fArray.FromNumpy(linear))
-        reader = UsdShade.Shader.Define(stage, "/performance/materials/skin/colours")
+        reader = UsdShade.Shader.Define(stage, f"{path}/colours")
         reader.CreateIdAttr("UsdPrimvarReader_float3")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
         colour.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
@@ -192,7 +199,7 @@ def _write_material(pxr, stage, mesh: AnimatedMesh, body) -> None:
     UsdShade.MaterialBindingAPI.Apply(body.GetPrim()).Bind(material)
 
 
-def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str]) -> None:
+def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str], amounts: np.ndarray) -> None:
     Gf, UsdSkel, Vt = pxr.Gf, pxr.UsdSkel, pxr.Vt
     animation = UsdSkel.Animation.Define(stage, "/performance/animation")
     animation.CreateJointsAttr(["head"])
@@ -202,7 +209,7 @@ def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str]) -> None:
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)]))
     turns = quaternions(mesh.rigid[:, :3, :3])
     for frame, (code, turn) in enumerate(zip(map(float, mesh.codes), turns, strict=True)):
-        weights.Set(Vt.FloatArray.FromNumpy(mesh.weights[frame].astype(np.float32)), code)
+        weights.Set(Vt.FloatArray.FromNumpy(amounts[frame].astype(np.float32)), code)
         place = METRES * mesh.rigid[frame, :3, 3]
         translations.Set(Vt.Vec3fArray([Gf.Vec3f(*map(float, place))]), code)
         x, y, z, w = map(float, turn)
@@ -225,7 +232,9 @@ def read_usd(path: str | os.PathLike) -> AnimatedMesh:
     body, animation = UsdGeom.Mesh(meshes[0]), UsdSkel.Animation(animations[0])
     scale = UsdGeom.GetStageMetersPerUnit(stage) / METRES
     neutral = scale * np.array(body.GetPointsAttr().Get(), float)
-    names = [str(name) for name in animation.GetBlendShapesAttr().Get() or ()]
+    animated = [str(name) for name in animation.GetBlendShapesAttr().Get() or ()]
+    names = [str(name) for name in UsdSkel.BindingAPI(meshes[0]).GetBlendShapesAttr().Get() or ()]
+    columns = [animated.index(name) for name in names]
     targets = np.zeros((len(names), len(neutral), 3))
     prim_paths = UsdSkel.BindingAPI(meshes[0]).GetBlendShapeTargetsRel().GetTargets()
     for k, (row, prim_path) in enumerate(zip(targets, prim_paths, strict=True)):
@@ -249,7 +258,7 @@ def read_usd(path: str | os.PathLike) -> AnimatedMesh:
         triangles,
         tuple(names),
         targets,
-        weights.reshape(len(codes), len(names)),
+        weights.reshape(len(codes), len(animated))[:, columns],
         times,
         rigid,
     )

@@ -17,7 +17,8 @@ from tqdm import tqdm
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, FrameError
 from ..files import blocks, release, replacing
-from ..mesh import rotation_vector_matrix
+from ..insides import Insides
+from ..mesh import rotation_vector_matrix, transform_points
 from ..painting import lit, paint
 from ..result import Result
 from ..retargeting.character import Character
@@ -59,20 +60,27 @@ def _still(mesh: AnimatedMesh) -> Character:
     return Character(mesh.name, mesh.neutral, mesh.triangles, (), np.zeros((0, *mesh.neutral.shape)), mesh.colours)
 
 
-def tracked_panel(result: Result) -> Panel:
-    """The tracked mesh v4, seen by a camera that frames the whole performance."""
+def tracked_panel(result: Result, insides: Insides | None = None) -> Panel:
+    """The tracked mesh v4 and what is inside it, seen by a camera that frames the whole performance."""
     middle, spread = _framing(result)
     focal = 0.46 * PANEL * middle[2] / max(spread, 1.0)
     centre = (PANEL - 1) / 2
     camera = Camera(PANEL, PANEL, focal, focal, centre, centre)
     shift = np.array([middle[0], middle[1], 0.0])
-    triangles = np.ascontiguousarray(result.triangles, np.int64)
+    triangles, albedo = np.ascontiguousarray(result.triangles, np.int64), np.array(SKIN, float)
+    if insides is not None:
+        albedo = np.concatenate([np.tile(albedo, (result.vertices.shape[1], 1)), insides.colours])
+        triangles = np.concatenate([triangles, insides.triangles + result.vertices.shape[1]])
 
     def draw(frame: int) -> np.ndarray:
         """The mesh of this frame."""
         points = result.vertices[frame] - shift
+        if insides is not None:
+            pose = result.rigid[frame].astype(float)
+            skin = transform_points(np.linalg.inv(pose), result.vertices[frame].astype(float))
+            points = np.concatenate([points, transform_points(pose, insides.at(skin)) - shift])
         release(result.vertices)
-        return paint(camera, points, triangles, lit(points, triangles, SKIN), cull=True)
+        return paint(camera, points, triangles, lit(points, triangles, albedo), cull=True)
 
     return draw
 

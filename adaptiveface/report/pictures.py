@@ -8,14 +8,12 @@ import cv2
 import numpy as np
 
 from ..camera import Camera
-from ..face_model import embedded_face_model
-from ..frame import FEATURE_REGIONS
-from ..mesh import rigid_alignment, transform_points
+from ..insides import make_insides
+from ..mesh import transform_points
 from ..rendering import covering_window, heat_map, ray_cast, shade
 
 SKIN = (205, 170, 150)
 _WIRE = np.array([86, 220, 233], float)
-_EYE = (238, 234, 228)
 _MOUTH = (58, 34, 34)
 
 
@@ -100,10 +98,10 @@ def heat_overlay(
 
 
 class Portraits:
-    """Portraits of heads in the head frame, on a transparent background: the actor's triangles, and eyeballs.
+    """Portraits of heads in the head frame, on a transparent background: the actor's skin and what is inside it.
 
-    ``size`` (width, height) pixels; ``whole`` frames the whole head instead of the face. Eyeballs come from the
-    embedded model where the actor's mesh is its mesh.
+    ``size`` (width, height) pixels; ``whole`` frames the whole head instead of the face.
+    Eyes, teeth and tongue are there where the actor's mesh is the embedded model's.
     """
 
     def __init__(self, actor, size: tuple[int, int], whole: bool = False, sampling: int = 2):
@@ -117,14 +115,16 @@ class Portraits:
         wide, tall = size[0] * sampling, size[1] * sampling
         focal = wide / width * distance
         self.camera = Camera(wide, tall, focal, focal, (wide - 1) / 2, (tall - 1) / 2)
-        self._eyes, self._eye_triangles = _eyeballs(actor)
+        self._insides = make_insides(actor.neutral, actor.triangles)
 
     def draw(self, head: np.ndarray, values: np.ndarray | None = None, limits=None, turn: float = 0.0) -> np.ndarray:
         """(h, w, 4) RGBA of a head (N, 3) turned by ``turn`` degrees; ``values`` (N,) between ``limits`` colour it."""
         colours = np.tile(np.array(SKIN, float), (len(head), 1)) if values is None else heat_map(values, limits)
-        vertices = np.concatenate([head, self._eyes])
-        colours = np.concatenate([colours, np.tile(np.array(_EYE, float), (len(self._eyes), 1))])
-        triangles = np.concatenate([self.actor.triangles, self._eye_triangles + len(head)])
+        vertices, triangles = head, self.actor.triangles
+        if self._insides is not None:
+            vertices = np.concatenate([head, self._insides.at(head)])
+            colours = np.concatenate([colours, self._insides.colours])
+            triangles = np.concatenate([triangles, self._insides.triangles + len(head)])
         vertices = transform_points(self._pose(turn), vertices)
         hits = ray_cast(self.camera, vertices, triangles, cull=True)
         # Through the open mouth one sees the inside of the back of the head: that is the dark of the mouth.
@@ -146,17 +146,6 @@ def on_backdrop(rgba: np.ndarray, colour=(52, 58, 68)) -> np.ndarray:
     """(h, w, 3) uint8: an RGBA picture over one colour."""
     alpha = rgba[..., 3:] / 255
     return (rgba[..., :3] * alpha + np.array(colour) * (1 - alpha)).astype(np.uint8)
-
-
-def _eyeballs(actor) -> tuple[np.ndarray, np.ndarray]:
-    """(Q, 3) eyeball vertices placed in the actor's head, and their triangles; empty for meshes of other models."""
-    model = embedded_face_model()
-    if len(actor.neutral) != len(model.mean) or model.eye_mean is None:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
-    identity = actor.identity if 0 < len(actor.identity) <= len(model.identity_modes) else np.zeros(1)
-    rim = actor.feature_vertices[FEATURE_REGIONS == "eyes"]
-    placed = rigid_alignment(model.neutral(identity)[rim], actor.neutral[rim])
-    return transform_points(placed, model.eyes(identity)), model.eye_triangles
 
 
 def _shrink(rgba: np.ndarray, size: tuple[int, int]) -> np.ndarray:

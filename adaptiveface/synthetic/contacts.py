@@ -11,23 +11,6 @@ from scipy.spatial import cKDTree
 from ..mesh import adjacency, edges
 
 
-def boundary_loops(triangles: np.ndarray, n_vertices: int) -> list[np.ndarray]:
-    """The vertices of every boundary loop (eyes, mouth, neck), in the order in which its triangles run along it."""
-    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
-    keys = directed[:, 0] * n_vertices + directed[:, 1]
-    single = ~np.isin(keys, directed[:, 1] * n_vertices + directed[:, 0])
-    after = dict(directed[single].tolist())
-    loops = []
-    while after:
-        start, current = after.popitem()
-        loop = [start]
-        while current != start and current in after:
-            loop.append(current)
-            current = after.pop(current)
-        loops.append(np.array(loop))
-    return sorted(loops, key=lambda loop: int(loop.min()))
-
-
 def rings(loop: np.ndarray, triangles: np.ndarray, n_vertices: int, count: int) -> list[np.ndarray]:
     """The loop and the next ``count - 1`` rings of vertices around it."""
     joined = adjacency(triangles, n_vertices)

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..face_model import FaceModel, embedded_face_model
-from ..mesh import surface_points, vertex_normals
-from .contacts import Contact, EyeballContact, boundary_loops, make_contact, make_eyeball_contact, rings, sides
+from ..mesh import boundary_loops, surface_points, vertex_normals
+from .contacts import Contact, EyeballContact, make_contact, make_eyeball_contact, rings, sides
 from .folds import make_folds
 from .personal import identity_detail, make_interactions, make_jaw_hinge, path_bends, personal_units
 from .subdivision import loop_subdivision

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..mesh import transform_points
-from .contacts import boundary_loops
+from ..mesh import boundary_loops, transform_points
 from .performer import Performer
 
 #: Part numbers of the scene's vertices.

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from face_model.makehuman import MakeHuman
 
+from adaptiveface.insides.parts import eyeball_mesh
 from adaptiveface.mesh import rotation_vector_matrix
 
-#: Degrees of an eyeball's turn at full activation, and the angles (degrees from the gaze) of the rings of its mesh.
+#: Degrees of an eyeball's turn at full activation.
 GAZE = {"eyeLookIn": 26.0, "eyeLookOut": 26.0, "eyeLookUp": 20.0, "eyeLookDown": 22.0}
-RINGS = (0.0, 7.0, 13.0, 13.2, 20.0, 27.0, 29.0, 29.2, 36.0, 45.0, 57.0, 72.0, 90.0, 112.0, 140.0, 180.0)
-PUPIL, IRIS, LIMBUS = 13.1, 28.0, 29.1
-SECTORS = 20
 
 
 @dataclass
@@ -28,44 +26,15 @@ class Part:
 
 def eyeball(centre: np.ndarray, radius: float, side: str, iris: tuple) -> Part:
     """A sphere whose pole looks along +z; ``side`` is Left or Right."""
-    angle = np.radians(np.array(RINGS))
-    around = 2 * np.pi * np.arange(SECTORS) / SECTORS
-    ring = np.stack([np.cos(around), np.sin(around), np.zeros(SECTORS)], axis=1)
-    points, rings = [[0.0, 0.0, 1.0]], []
-    for a in angle[1:-1]:
-        rings.append(len(points) + np.arange(SECTORS))
-        points += list(np.sin(a) * ring + [0.0, 0.0, np.cos(a)])
-    points.append([0.0, 0.0, -1.0])
-    unit = np.array(points)
-    triangles = [[0, rings[0][k], rings[0][(k + 1) % SECTORS]] for k in range(SECTORS)]
-    for inner, outer in zip(rings[:-1], rings[1:], strict=True):
-        for k in range(SECTORS):
-            n = (k + 1) % SECTORS
-            triangles += [[inner[k], outer[k], outer[n]], [inner[k], outer[n], inner[n]]]
-    triangles += [[rings[-1][k], len(unit) - 1, rings[-1][(k + 1) % SECTORS]] for k in range(SECTORS)]
-    from_gaze = np.degrees(np.arccos(np.clip(unit[:, 2], -1, 1)))
-    colours = np.full((len(unit), 3), (238, 234, 228), float)
-    shade = np.clip((from_gaze - PUPIL) / (IRIS - PUPIL), 0, 1)[:, None]
-    colours[from_gaze < LIMBUS] = ((0.75 + 0.45 * shade) * np.array(iris))[from_gaze < LIMBUS]
-    colours[(from_gaze > 26.5) & (from_gaze < LIMBUS)] *= 0.45
-    colours[from_gaze < PUPIL] = (12, 10, 10)
-    # The cornea: a low dome over the iris catches the light.
-    dome = 1 + 0.045 * np.cos(np.clip(from_gaze / LIMBUS, 0, 1) * np.pi / 2)
-    shape = radius * unit * dome[:, None]
+    unit, triangles, colours = eyeball_mesh(iris)
+    shape = radius * unit
     expressions = {}
     for look, degrees in GAZE.items():
         away = 1.0 if side == "Left" else -1.0  # the subject's left is +x
         axis = {"eyeLookUp": (-1, 0, 0), "eyeLookDown": (1, 0, 0), "eyeLookOut": (0, away, 0), "eyeLookIn": (0, -away, 0)}
         turn = rotation_vector_matrix(np.radians(degrees) * np.array(axis[look], float))
         expressions[look + side] = shape @ turn.T - shape
-    return Part(centre + shape, np.array(triangles), np.clip(colours, 0, 255), expressions)
-
-
-def sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of the sphere through points (n, 3), least squares."""
-    system = np.column_stack([2 * points, np.ones(len(points))])
-    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    return solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
+    return Part(centre + shape, triangles, colours, expressions)
 
 
 def mouth_cavity(skin: Part, loop: np.ndarray, scale: float, colour) -> Part:

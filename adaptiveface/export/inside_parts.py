@@ -1,0 +1,55 @@
+"""Eyes, teeth and tongue of a tracked actor as one more animated mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..actor import Actor
+from ..insides import Insides, make_insides
+from ..result import Result
+from ..retargeting.retarget import head_blocks, head_meshes
+from .animation import AnimatedMesh, in_slider_range
+from .components import principal_targets
+
+#: Millimetres by which a part may lie off in a file.
+TOLERANCE = 0.05
+
+
+def actor_insides(result: Result, actor: Actor | None = None) -> Insides | None:
+    """The parts fitted to the actor's neutral, or to the mean of all frames; None where the mesh is of another model."""
+    if actor is not None:
+        return make_insides(actor.neutral, actor.triangles)
+    mean = sum(meshes.sum(axis=0) for _, meshes in head_blocks(result)) / len(result)
+    return make_insides(mean, result.triangles)
+
+
+def with_insides(mesh: AnimatedMesh, result: Result, actor: Actor | None = None) -> AnimatedMesh:
+    """The actor's animated mesh with :attr:`AnimatedMesh.inside`; as it is where the mesh is of another model.
+
+    The skin stays what it is. The parts have morph targets of their own, principal components of their motion, within
+    :data:`TOLERANCE` mm.
+    """
+    insides = actor_insides(result, actor)
+    if insides is None:
+        return mesh
+    rest = insides.at(insides.neutral_skin)
+
+    def moved(frames: np.ndarray) -> np.ndarray:
+        """(f, P, 3) mm of frames (f,)."""
+        return np.stack([insides.at(skin) for skin in head_meshes(result, frames)]) - rest
+
+    targets, weights = principal_targets(moved, len(result), TOLERANCE)
+    names = tuple(f"inside{k:03d}" for k in range(len(targets)))
+    inside = replace(
+        mesh,
+        name="insides",
+        neutral=rest,
+        triangles=insides.triangles,
+        target_names=names,
+        targets=targets,
+        weights=weights,
+        colours=insides.colours,
+    )
+    return replace(mesh, inside=in_slider_range(inside))

@@ -1,0 +1,226 @@
+"""Eyeballs, teeth, tongue and mouth fitted to one head of the embedded model's mesh, and how they follow its skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ..face_model import FaceModel, embedded_face_model
+from ..frame import FEATURE_IDS
+from ..mesh import boundary_loops, rigid_alignment, rotation_vector_matrix, surface_points, transform_points
+from .parts import CAVITY, CORNEA, eyeball_mesh, strip, teeth_mesh, tongue_mesh
+
+IRIS = (92, 116, 128)
+#: Skin stays this far in front of an eyeball, mm: half the sag of a lid's triangles.
+CLEARANCE = 0.35
+#: Rings of the mouth behind its rim: depth mm, how far it widens, how much it follows the rim, and its light.
+_MOUTH = ((0.0, 0.0, 1.0, 1.0), (4.0, 0.3, 0.97, 0.8), (14.0, 0.9, 0.85, 0.5), (44.0, 0.8, 0.6, 0.3))
+#: Largest height of the mouth behind the lips, mm to each side.
+_MOUTH_HEIGHT = 15.0
+
+
+@dataclass(frozen=True)
+class Insides:
+    """The parts of one head: triangles (T, 3) of P vertices, colours (P, 3) uint8; millimetres, head frame.
+
+    eye_centres (2, 3), eye_radii (2,): the subject's left eye first. ``at`` places all parts in a head.
+    """
+
+    triangles: np.ndarray
+    colours: np.ndarray
+    eye_centres: np.ndarray
+    eye_radii: np.ndarray
+    neutral_skin: np.ndarray
+    lid_loops: tuple[np.ndarray, np.ndarray]
+    lid_skin: tuple[np.ndarray, np.ndarray]
+    mouth_loop: np.ndarray
+    mouth_height: np.ndarray
+    eyeball: np.ndarray
+    upper: np.ndarray
+    lower: np.ndarray
+    jaw: Jaw
+
+    def at(self, skin: np.ndarray, gaze: np.ndarray | None = None) -> np.ndarray:
+        """(P, 3) mm: the parts inside a head whose skin is ``skin`` (N, 3), head frame.
+
+        gaze (2, 2): yaw and pitch of the left and the right eye, rad, as :func:`gaze_rotation` takes them.
+        """
+        turns = np.zeros((2, 2)) if gaze is None else gaze
+        pieces = []
+        for side in range(2):
+            centre = self.eye_centres[side] - [0.0, 0.0, self.retreat(skin, side)]
+            pieces.append(centre + self.eye_radii[side] * self.eyeball @ gaze_rotation(*turns[side]).T)
+            rim = skin[self.lid_loops[side]]
+            arm = rim - centre
+            length = np.linalg.norm(arm, axis=1, keepdims=True)
+            pieces += [rim, centre + arm / length * np.minimum(0.985 * self.eye_radii[side], length)]
+        pieces.append(self.upper)
+        pieces.append(self.jaw.moved(self.lower, skin - self.neutral_skin))
+        pieces.append(self._mouth(skin))
+        return np.concatenate(pieces)
+
+    def retreat(self, skin: np.ndarray, side: int) -> float:
+        """Millimetres by which an eyeball gives way to the lids, as eyes do when they blink."""
+        arm = skin[self.lid_skin[side]] - self.eye_centres[side]
+        reach = self.eye_radii[side] * (1 + CORNEA) + CLEARANCE
+        inside = reach**2 - (arm[:, :2] ** 2).sum(axis=1)
+        needed = np.sqrt(np.maximum(inside, 0.0)) - arm[:, 2]
+        return float(np.max(needed[(inside > 0) & (arm[:, 2] > 0)], initial=0.0))
+
+    def _mouth(self, skin: np.ndarray) -> np.ndarray:
+        rim, rest = skin[self.mouth_loop], self.neutral_skin[self.mouth_loop]
+        moved, middle, rings = rim - rest, rest.mean(axis=0), []
+        for depth, spread, follow, _ in _MOUTH:
+            ring = rest + np.stack([np.zeros(len(rest)), spread * self.mouth_height, np.full(len(rest), -depth)], axis=1)
+            ring[:, 0] = middle[0] + (rest[:, 0] - middle[0]) * (1 - 0.35 * (depth / _MOUTH[-1][0]) ** 2)
+            rings.append(ring + follow * (moved if depth < 2 else _smooth(moved)))
+        return np.concatenate([*rings, rings[-1].mean(axis=0, keepdims=True)])
+
+
+@dataclass(frozen=True)
+class Jaw:
+    """The lower jaw as a hinge: chin (n,) vertices, hinge (3,) mm, solve (3, 3n) from their displacements to its motion."""
+
+    chin: np.ndarray
+    hinge: np.ndarray
+    solve: np.ndarray
+
+    def moved(self, points: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+        """Points (n, 3) of the jaw when the skin is displaced by (N, 3): opened, turned sideways, pushed forward."""
+        opened, turned, forward = self.solve @ displacement[self.chin].ravel()
+        rotation = rotation_vector_matrix(np.array([opened, turned, 0.0]))
+        return self.hinge + (points - self.hinge) @ rotation.T + [0.0, 0.0, forward]
+
+
+def gaze_rotation(yaw: float, pitch: float) -> np.ndarray:
+    """(3, 3) rotation of an eyeball in the head frame: yaw to the subject's left (+x), then pitch upwards; rad."""
+    return rotation_vector_matrix(np.array([0.0, yaw, 0.0])) @ rotation_vector_matrix(np.array([-pitch, 0.0, 0.0]))
+
+
+def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, int, int] = IRIS) -> Insides | None:
+    """The parts fitted to a neutral head (N, 3) mm; None where the mesh is not the embedded model's."""
+    model = embedded_face_model()
+    if not np.array_equal(triangles, model.triangles) or model.eye_mean is None:
+        return None
+    marks = surface_points(neutral, model.feature_triangles, model.feature_weights)
+    left, right, mouth = _openings()
+    lids = (left, right)
+    centres, radii = _eyes(model, neutral, lids)
+    near = tuple(np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0) for loop in lids)
+    upper, lower, triangles_of_row, colours_of_row, tongue = _mouth_parts(marks)
+    height = _opening(neutral[mouth]) * _MOUTH_HEIGHT
+    ball, ball_triangles, ball_colours = eyeball_mesh(iris)
+    flesh = np.array([[206, 148, 138], [150, 92, 88]], float)
+    pieces, colours = [], []
+    for loop in lids:
+        pieces += [ball_triangles, strip(2, len(loop), closed=True)]
+        colours += [ball_colours, np.repeat(flesh, len(loop), axis=0)]
+    pieces += [triangles_of_row, triangles_of_row[:, ::-1], tongue[1], _closed(len(_MOUTH), len(mouth))]
+    light = np.append(np.repeat([ring[3] for ring in _MOUTH], len(mouth)), 0.25)
+    colours += [colours_of_row, colours_of_row, tongue[2], light[:, None] * np.array(CAVITY, float)]
+    # A strip and its ball are two pieces, each with vertices of its own.
+    starts = np.cumsum([0, *map(len, colours)])
+    return Insides(
+        np.concatenate([start + t for start, t in zip(starts, pieces, strict=False)]).astype(np.int32),
+        np.concatenate(colours).round().astype(np.uint8),
+        centres,
+        radii,
+        neutral,
+        lids,
+        near,
+        mouth,
+        height,
+        ball,
+        upper,
+        np.concatenate([lower, tongue[0]]),
+        _jaw(model, neutral),
+    )
+
+
+def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and radii of the model's mean eyeballs, moved and scaled to the lids, as far back as these ask for."""
+    centres, radii = [], []
+    for side, loop in zip((1, -1), lids, strict=True):
+        centre, radius = sphere_of(model.eye_mean[model.eye_mean[:, 0] * side > 0])
+        source, target = model.mean[loop], neutral[loop]
+        size = np.linalg.norm(target - target.mean(0)) / np.linalg.norm(source - source.mean(0))
+        size = float(np.clip(size, 0.85, 1.15))
+        placed = transform_points(rigid_alignment(size * source, target), size * centre[None])[0]
+        radius *= size / (1 + CORNEA)
+        reach = np.linalg.norm(target - placed, axis=1).min() - CLEARANCE  # of the cornea, before it meets a lid
+        placed[2] -= max(radius * (1 + CORNEA) - reach, 0.0)
+        centres.append(placed)
+        radii.append(radius)
+    return np.array(centres), np.array(radii)
+
+
+def sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of the sphere through points (n, 3), least squares."""
+    system = np.column_stack([2 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    return solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
+
+
+def _mouth_parts(marks: np.ndarray):
+    """Upper row (n, 3), lower row (n, 3), their triangles and colours, and the tongue, behind the lips' landmarks."""
+    place = {int(number): marks[k] for k, number in enumerate(FEATURE_IDS)}
+    size = np.linalg.norm(place[60] - place[64]) / 45.0
+    line = 0.5 * (place[62] + place[66])
+    front = min(place[62][2], place[66][2]) - 5.3 * size
+    row, triangles, colours = teeth_mesh(26.0 * size, 40.0 * size, 9.0 * size)
+    upper = row + [line[0], line[1] - 2.0 * size, front]
+    lower = row * [0.95, -0.9, 1.0] + [line[0], line[1] - 1.6 * size, front - 3.0 * size]
+    tongue, tongue_triangles, tongue_colours = tongue_mesh(17.0 * size, 45.0 * size)
+    tongue = tongue + [line[0], line[1] - 7.0 * size, front - 8.0 * size]
+    return upper, lower, triangles, colours, (tongue, tongue_triangles, tongue_colours)
+
+
+@lru_cache(maxsize=1)
+def _openings() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The rims (vertex numbers in order) of left eye, right eye and mouth of the embedded model's mesh."""
+    model = embedded_face_model()
+    marks = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    loops = boundary_loops(model.triangles, len(model.mean))
+    ids = np.asarray(FEATURE_IDS)
+    wanted = [marks[(ids >= a) & (ids <= b)].mean(axis=0) for a, b in ((42, 47), (36, 41), (60, 67))]
+    return tuple(min(loops, key=lambda r: np.linalg.norm(model.mean[r].mean(axis=0) - w)) for w in wanted)
+
+
+def _jaw(model: FaceModel, neutral: np.ndarray) -> Jaw:
+    """The hinge of the model's jaw-open unit, seen from the chin of this head."""
+    unit = model.expressions[model.expression_names.index("jawOpen")]
+    chord, middle = unit[:, 1:], model.mean[:, 1:] + 0.5 * unit[:, 1:]
+    length = np.linalg.norm(chord, axis=1)
+    moving = length > 0.5 * length.max()
+    hinge = np.append(0.0, np.linalg.lstsq(chord[moving], (chord[moving] * middle[moving]).sum(axis=1), rcond=None)[0])
+    chin = np.flatnonzero(length > 0.9 * length.max())
+    hinge = hinge + (neutral[chin] - model.mean[chin]).mean(axis=0)
+    arm = neutral[chin] - hinge
+    columns = [np.cross(axis, arm).ravel() for axis in np.eye(3)[:2]] + [np.tile([0.0, 0.0, 1.0], len(chin))]
+    return Jaw(chin, hinge, np.linalg.pinv(np.stack(columns, axis=1)))
+
+
+def _closed(rings: int, count: int) -> np.ndarray:
+    """Triangles of rings whose last is closed by one more vertex."""
+    k = np.arange(count)
+    end = np.stack([(rings - 1) * count + k, np.full(count, rings * count), (rings - 1) * count + (k + 1) % count], axis=1)
+    return np.concatenate([strip(rings, count, closed=True), end])
+
+
+def _opening(rim: np.ndarray) -> np.ndarray:
+    """(n,) in [-1, 1]: positive on the upper half of the rim, 0 at the corners."""
+    left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
+    n, out = len(rim), np.zeros(len(rim))
+    halves = [np.arange(a, a + (b - a) % n + 1) % n for a, b in ((left, right), (right, left))]
+    halves.sort(key=lambda half: rim[half, 1].mean())
+    for half, sign in zip(halves, (-1.0, 1.0), strict=True):
+        out[half] = sign * np.sin(np.pi * np.linspace(0, 1, len(half))) ** 0.6
+    return out
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    for _ in range(6):
+        values = 0.25 * np.roll(values, 1, axis=0) + 0.5 * values + 0.25 * np.roll(values, -1, axis=0)
+    return values

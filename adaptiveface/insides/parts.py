@@ -1,0 +1,98 @@
+"""Meshes of what is inside a head: an eyeball, a row of teeth, a tongue; plain geometry in millimetres."""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Angles (degrees from the gaze) of the rings of an eyeball's mesh, and where pupil, iris and limbus end.
+RINGS = (0.0, 7.0, 13.0, 13.2, 20.0, 27.0, 29.0, 29.2, 36.0, 45.0, 57.0, 72.0, 90.0, 112.0, 140.0, 180.0)
+PUPIL, IRIS, LIMBUS = 13.1, 28.0, 29.1
+SECTORS = 20
+#: The cornea's height over the ball, as a share of its radius.
+CORNEA = 0.045
+WHITE, BLACK = (238, 234, 228), (12, 10, 10)
+IVORY, GUM, TONGUE, CAVITY = (232, 226, 210), (176, 92, 92), (186, 96, 98), (70, 26, 28)
+#: Teeth of one row that are drawn apart, and points of the mesh across each.
+TEETH, ACROSS = 14, 6
+
+
+def strip(rows: int, columns: int, closed: bool = False) -> np.ndarray:
+    """(t, 3) triangles between ``rows`` rows of ``columns`` points each; ``closed`` joins the ends of the rows."""
+    r, c = np.meshgrid(np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij")
+    here, right = (r * columns + c).ravel(), (r * columns + (c + 1) % columns).ravel()
+    pair = [[here, here + columns, right + columns], [here, right + columns, right]]
+    return np.transpose(pair, (2, 0, 1)).reshape(-1, 3)
+
+
+def eyeball_mesh(iris: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (n, 3), triangles (t, 3), colours (n, 3) in 0..255 of an eyeball of radius 1 that looks along +z."""
+    angle = np.radians(np.array(RINGS))
+    around = 2 * np.pi * np.arange(SECTORS) / SECTORS
+    ring = np.stack([np.cos(around), np.sin(around), np.zeros(SECTORS)], axis=1)
+    inner = [np.sin(a) * ring + [0.0, 0.0, np.cos(a)] for a in angle[1:-1]]
+    unit = np.concatenate([[[0.0, 0.0, 1.0]], *inner, [[0.0, 0.0, -1.0]]])
+    k, last = np.arange(SECTORS), len(unit) - 1
+    turned = np.roll(k, -1)
+    first, final = 1 + k, last - SECTORS + k
+    triangles = np.concatenate(
+        [
+            np.stack([np.zeros_like(k), first, 1 + turned], 1),
+            1 + strip(len(inner), SECTORS, closed=True),
+            np.stack([final, np.full_like(k, last), last - SECTORS + turned], 1),
+        ]
+    )
+    from_gaze = np.degrees(np.arccos(np.clip(unit[:, 2], -1, 1)))
+    colours = np.full((len(unit), 3), WHITE, float)
+    shade = np.clip((from_gaze - PUPIL) / (IRIS - PUPIL), 0, 1)[:, None]
+    colours[from_gaze < LIMBUS] = ((0.75 + 0.45 * shade) * np.array(iris))[from_gaze < LIMBUS]
+    colours[(from_gaze > 26.5) & (from_gaze < LIMBUS)] *= 0.45
+    colours[from_gaze < PUPIL] = BLACK
+    # The cornea: a low dome over the iris catches the light.
+    dome = 1 + CORNEA * np.cos(np.clip(from_gaze / LIMBUS, 0, 1) * np.pi / 2)
+    return unit * dome[:, None], triangles, np.clip(colours, 0, 255)
+
+
+def teeth_mesh(half_width: float, depth: float, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Upper teeth: vertices (n, 3) mm, triangles (t, 3), colours (n, 3).
+
+    The biting edge of the front teeth is the origin; the arch is half an ellipse, ``half_width`` to the sides and
+    ``depth`` back. ``height``: of the front teeth. The lower row is the upper one turned upside down.
+    """
+    columns = TEETH * ACROSS + 1
+    place = np.linspace(-1, 1, columns)
+    theta = np.radians(84.0) * place
+    across = np.abs((np.arange(columns) % ACROSS) / ACROSS - 0.5) * 2  # 1 between two teeth, 0 in the middle of one
+    crown = height * (1 - 0.28 * np.abs(place))
+    # Rows from the gum over the front and the edge to the back: (height above the edge, inwards), gum or tooth.
+    rows = ((1.7, 3.4, 1), (1.25, 1.0, 1), (1.0, 0.3, 0), (0.7, 0.0, 0), (0.3, 0.05, 0), (0.03, 0.5, 0), (0.0, 1.2, 0))
+    rows += ((0.1, 2.2, 0), (0.7, 3.6, 0), (1.1, 4.2, 1), (1.6, 6.5, 1))
+    points, colours = [], []
+    for up, inward, gum in rows:
+        groove = (0.15 if gum else 0.75) * across**6
+        bite = 0.5 * across**4 * (up < 0.2)
+        size = 1 - (inward + groove) / half_width, 1 - (inward + groove) / depth
+        points.append(
+            np.stack([half_width * size[0] * np.sin(theta), up * crown + bite, depth * (size[1] * np.cos(theta) - 1)], axis=1)
+        )
+        dark = 1 - 0.35 * across**6 * (not gum) - 0.25 * np.abs(place) ** 2
+        colours.append(np.array(GUM if gum else IVORY, float) * dark[:, None])
+    triangles = strip(len(rows), columns)
+    return np.concatenate(points), triangles, np.concatenate(colours)
+
+
+def tongue_mesh(half_width: float, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, triangles and colours of a tongue whose tip is the origin; it lies back along -z."""
+    along = np.linspace(0.0, 1.0, 15)
+    around = 2 * np.pi * np.arange(20) / 20
+    rings = []
+    for a in along:
+        wide = half_width * np.sqrt(1 - (1 - min(a / 0.55, 1.0)) ** 2.2 + 1e-9)
+        thick = 5.0 * np.sqrt(1 - (1 - min(a / 0.3, 1.0)) ** 2 + 1e-9)
+        top = np.sin(around)
+        furrow = -1.2 * np.exp(-((np.cos(around) * wide / 3.0) ** 2)) * (top > 0) * min(a / 0.3, 1.0)
+        lift = 7.0 * np.sin(np.pi * min(a, 0.8) / 1.6) ** 2
+        height = thick * top + furrow + lift
+        rings.append(np.stack([wide * np.cos(around), height, np.full(20, -length * a)], axis=1))
+    vertices = np.concatenate(rings)
+    shade = np.repeat(1.0 - 0.5 * along, 20)
+    return vertices, strip(15, 20, closed=True)[:, ::-1], shade[:, None] * np.array(TONGUE, float)
