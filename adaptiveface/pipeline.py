@@ -22,6 +22,7 @@ from .blas import one_blas_thread
 from .errors import FrameError, TrackingError
 from .face_model import FaceModel, embedded_face_model
 from .frame import Features2D, RgbdFrame
+from .gaze import GazeTrack
 from .landmarks import FeatureDetector, Upright
 from .mesh import surface_points
 from .neutral.capture import capture_actor
@@ -192,7 +193,7 @@ def track_source(
     colour_only = getattr(source, "colour_only", False)
     tracker, watch = make_tracker(actor, parameters, colour_only), SizeWatch(source, actor)
     builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only, folder)
-    offset = ColourOffset(actor)
+    offset, gaze = ColourOffset(actor), GazeTrack(actor)
     try:
         with (
             FrameReader(source, detector) as reader,
@@ -204,27 +205,37 @@ def track_source(
                 frame = reader.read(index)
                 if frame is None:
                     builder.skip(reader.timestamp(index), reader.skipped[index])
+                    gaze.add(None)
                     continue
                 watch.see(frame)
                 tracked = tracker.track(frame)
                 builder.add(tracked)
+                gaze.see(tracked, frame)
                 if not colour_only:
                     offset.add(tracked, frame)
                 if on_frame is not None:
                     on_frame(tracked, frame)
     except KeyboardInterrupt as interruption:
         builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
-        raise TrackingInterrupted(builder.finish(tracker.model.correctives)) from interruption
+        raise TrackingInterrupted(_finished(builder, tracker, gaze)) from interruption
     if len(reader.skipped) == len(source):
         raise reader.fail("no frame can be used")
     watch.judge()
     builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
-    result = builder.finish(tracker.model.correctives)
+    result = _finished(builder, tracker, gaze)
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")
     if note := offset.note(source.name):
         _log.warning("%s", note)
     return result
+
+
+def _finished(builder: ResultBuilder, tracker, gaze: GazeTrack) -> Result:
+    """The result, with the gaze of its frames; an interruption may have come between the two."""
+    result = builder.finish(tracker.model.correctives)
+    arrays = {name: array[: len(result)] for name, array in gaze.arrays().items()}
+    whole = all(len(array) == len(result) for array in arrays.values())
+    return dataclasses.replace(result, **arrays) if whole else result
 
 
 def track_to_file(

@@ -48,6 +48,8 @@ _FIELDS = {
     "colour_only": Field((), "b", optional=True),
     "mirrored": Field((), "b", optional=True),
     "turned": Field((), "iu", optional=True),
+    "gaze": Field(("F", 2, 2), optional=True),
+    "gaze_known": Field(("F", 2), "b", optional=True),
     "held_out": Field(("F", "R"), optional=True),
     "held_out_regions": Field(("R",), "U", optional=True),
 }
@@ -91,6 +93,8 @@ class Result(ResultAccess):
     at the end, orthonormal, zero outside the frontal region. colour_only: tracked without depth, a degraded mode.
     held_out (F, R) or None: error of the landmarks that no fit used, by region of held_out_regions (R,), % of the eyes'
     distance, 0 where nothing was detected (:mod:`~adaptiveface.tracking.held_out`).
+    gaze (F, 2, 2) or None: yaw to the subject's left and pitch upwards, rad, of the left and of the right eye, and
+    gaze_known (F, 2): measured in this frame, else held (:mod:`adaptiveface.gaze`).
     mirrored, turned: the source's frames were flipped, and then turned by so many quarters anticlockwise, before they were
     tracked; :func:`~adaptiveface.sensors.orientation.as_tracked` does the same with a source.
     """
@@ -125,6 +129,8 @@ class Result(ResultAccess):
     turned: int = 0
     held_out: np.ndarray | None = None
     held_out_regions: tuple[str, ...] = ()
+    gaze: np.ndarray | None = None
+    gaze_known: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.vertices)

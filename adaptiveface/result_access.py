@@ -204,5 +204,7 @@ _PER_FRAME = frozenset(
         "reasons",
         "stage_ms",
         "held_out",
+        "gaze",
+        "gaze_known",
     )
 )

@@ -18,7 +18,7 @@ FLOORS = (
         *("camera", "frame", "mesh", "polydata", "rendering", "painting", "appearance", "feature_set"),
         *("lab", "livelink"),
     ),
-    ("face_model", "actor", "blendshapes", "insides"),
+    ("face_model", "actor", "blendshapes", "insides", "gaze"),
     ("synthetic", "sensors", "landmarks"),
     ("tracking",),
     ("neutral", "importers", "exercises"),

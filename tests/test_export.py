@@ -409,7 +409,7 @@ def test_compare_shows_initial_and_resolved_side_by_side(saved, monkeypatch):
     shown = {}
     monkeypatch.setattr(
         "adaptiveface.export.command.write_performance_video",
-        lambda out, result, meshes, *_: shown.update({mesh.name: mesh.weights for mesh in meshes}),
+        lambda out, result, meshes, *_, **__: shown.update({mesh.name: mesh.weights for mesh in meshes}),
     )
     options = ["--character", "hag", "--format", "gif", "--compare"]
     assert cli.main(["export", str(saved / "result.npz"), *options]) == 0

@@ -38,7 +38,8 @@ def with_insides(mesh: AnimatedMesh, result: Result, actor: Actor | None = None)
 
     def moved(frames: np.ndarray) -> np.ndarray:
         """(f, P, 3) mm of frames (f,)."""
-        return np.stack([insides.at(skin) for skin in head_meshes(result, frames)]) - rest
+        gaze = np.zeros((len(frames), 2, 2)) if result.gaze is None else result.gaze[frames].astype(float)
+        return np.stack([insides.at(*pair) for pair in zip(head_meshes(result, frames), gaze, strict=True)]) - rest
 
     targets, weights = principal_targets(moved, len(result), TOLERANCE)
     names = tuple(f"inside{k:03d}" for k in range(len(targets)))

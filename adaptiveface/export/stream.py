@@ -10,6 +10,9 @@ import numpy as np
 
 from ..actor import Actor
 from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
+from ..frame import RgbdFrame
+from ..gaze import GazeTrack
+from ..livelink.convention import eyes_of_gaze, with_look
 from ..livelink.packet import LiveLinkFrame, encode
 from ..parameters import BlendshapeParameters
 from ..retargeting.arkit import arkit_weights
@@ -77,21 +80,34 @@ class Streamer:
         self._start: np.ndarray | None = None
         self._solved: np.ndarray | None = None
         self._sender = Sender(vmc, osc, livelink, avatar)
+        self._gaze = GazeTrack(actor, keep=False)
 
     @property
     def sent(self) -> int:
         """Frames sent so far."""
         return self._sender.sent
 
-    def send(self, frame: TrackedFrame, _source_frame=None) -> None:
-        """Send one frame; a lost face sends only that it is lost. Raises :class:`AdaptiveFaceError` (no route)."""
+    def send(self, frame: TrackedFrame, source_frame: RgbdFrame | None = None) -> None:
+        """Send one frame; a lost face sends only that it is lost. Eyes follow the irises in ``source_frame``.
+
+        Raises :class:`AdaptiveFaceError` (no route).
+        """
         state = FaceState(float(frame.timestamp), False)
         if frame.tracked:
             pose = view_motion(frame.rigid[None])[0]
             self._start = pose[:3, 3].copy() if self._start is None else self._start
             place = METRES * (pose[:3, 3] - self._start)
-            state = FaceState(float(frame.timestamp), True, self._curves(frame), pose[:3, :3], place)
+            curves, eyes = self._looking(self._curves(frame), frame, source_frame)
+            state = FaceState(float(frame.timestamp), True, curves, pose[:3, :3], place, eyes)
         self._sender.send(state)
+
+    def _looking(self, curves: np.ndarray, frame: TrackedFrame, source: RgbdFrame | None):
+        """Curves (52,) that look where the irises do, and eyes (6,); None for eyes while none were seen."""
+        gaze = self._gaze.see(frame, source)
+        if not self._gaze.begun:
+            return curves, None
+        eyes = eyes_of_gaze(gaze)
+        return with_look(curves, eyes), eyes
 
     def _curves(self, frame: TrackedFrame) -> np.ndarray:
         if self._halves is not None:

@@ -77,8 +77,9 @@ def tracked_panel(result: Result, insides: Insides | None = None) -> Panel:
         points = result.vertices[frame] - shift
         if insides is not None:
             pose = result.rigid[frame].astype(float)
+            gaze = None if result.gaze is None else result.gaze[frame].astype(float)
             skin = transform_points(np.linalg.inv(pose), result.vertices[frame].astype(float))
-            points = np.concatenate([points, transform_points(pose, insides.at(skin)) - shift])
+            points = np.concatenate([points, transform_points(pose, insides.at(skin, gaze)) - shift])
         release(result.vertices)
         return paint(camera, points, triangles, lit(points, triangles, albedo), cull=True)
 

@@ -116,3 +116,20 @@ def eye_angles(curves: np.ndarray) -> np.ndarray:
         pitch = EYE_PITCH * (level[f"eyeLookDown{side}"] - level[f"eyeLookUp{side}"])
         out += [yaw, pitch, EYE_ROLL * yaw * pitch]
     return np.stack(out, axis=-1)
+
+
+def eyes_of_gaze(gaze: np.ndarray) -> np.ndarray:
+    """(..., 6) yaw, pitch, roll of both eyes, radians, of gaze (..., 2, 2): yaw to the subject's left, pitch upwards."""
+    yaw, pitch = -np.moveaxis(np.asarray(gaze, float), -1, 0)
+    return np.stack([yaw, pitch, EYE_ROLL * yaw * pitch], axis=-1).reshape(*yaw.shape[:-1], 6)
+
+
+def with_look(curves: np.ndarray, eyes: np.ndarray) -> np.ndarray:
+    """Curves (..., 52) whose eyeLook shapes are those of eyes (..., 6), the inverse of :func:`eye_angles`; in [0, 1]."""
+    out = np.array(curves, float)
+    for side, away, first in (("Left", -1.0, 0), ("Right", 1.0, 3)):
+        outwards = away * eyes[..., first] / EYE_YAW
+        downwards = eyes[..., first + 1] / EYE_PITCH
+        for look, value in (("Out", outwards), ("In", -outwards), ("Down", downwards), ("Up", -downwards)):
+            out[..., ARKIT_NAMES.index(f"eyeLook{look}{side}")] = np.clip(value, 0.0, 1.0)
+    return out

@@ -11,6 +11,7 @@ import numpy as np
 from ..actor import Actor
 from ..errors import ParameterError
 from ..files import release
+from ..livelink.convention import eyes_of_gaze, with_look
 from ..mesh import transform_points
 from ..result import Result
 from ..result_access import time_table
@@ -114,11 +115,19 @@ def retarget(
     ``coefficients`` "arkit": ARKit's shapes with their halves, re-solved from v4 by :class:`ArkitResolve`; needs the actor.
     """
     if coefficients == "arkit":
-        return _arkit_performance(result, actor).smoothed(smoothing)
+        return _with_gaze(_arkit_performance(result, actor), result).smoothed(smoothing)
     values = driving_coefficients(result, coefficients, actor)
     table = arkit_weights(result.expression_names)
     performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float), table.unknown)
-    return performance.smoothed(smoothing)
+    return _with_gaze(performance, result).smoothed(smoothing)
+
+
+def _with_gaze(performance: Performance, result: Result) -> Performance:
+    """The performance looks where the result's irises do; as it is where none were seen."""
+    if result.gaze is None:
+        return performance
+    eyes = eyes_of_gaze(result.gaze)
+    return replace(performance, curves=with_look(performance.curves, eyes), eyes=eyes)
 
 
 def _arkit_performance(result: Result, actor: Actor | None) -> Performance:
