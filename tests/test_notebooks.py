@@ -141,7 +141,7 @@ def test_interrupting_a_cell_keeps_the_kernel_and_the_player(tmp_path):
         manager.shutdown_kernel(now=True)
 
 
-CHAPTERS = [path for path in NOTEBOOKS if path.name[:2].isdigit()]
+CHAPTERS = NOTEBOOKS
 
 
 @pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
