@@ -1,7 +1,8 @@
 """Prints a table: program, export, what the program itself makes of it, in numbers. Programs that are absent have no row.
 
 ``python tests/evaluate_exports.py [result.npz actor.npz] [--pictures DIR]``: by default a small made-up performance. Blender
-is any Python with ``bpy`` (``ADAPTIVEFACE_BLENDER_PYTHON``, or this one); Khronos' validator and three.js come from npm.
+is any Python with ``bpy`` (``ADAPTIVEFACE_BLENDER_PYTHON``, or this one); Khronos' validator, three.js, three-vrm,
+model-viewer and Babylon.js come from npm.
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ from pathlib import Path
 
 import numpy as np
 from blender_runs import blender_python, evaluate
+from evaluate_viewers import viewer_rows
 from export_scene import tracked_result
 
 from adaptiveface import Actor, Result
 from adaptiveface.export.animation import AnimatedMesh, actor_animation, character_animation
 from adaptiveface.export.arkit_csv import read_arkit_csv, write_arkit_csv
 from adaptiveface.export.gltf import write_glb
+from adaptiveface.export.inside_parts import with_insides
 from adaptiveface.export.obj_sequence import write_obj_sequence
 from adaptiveface.export.point_cache import write_point_cache
 from adaptiveface.export.usd import write_usd
@@ -51,16 +54,17 @@ const jobs = JSON.parse(fs.readFileSync(process.argv[2])), out = {};
 for (const [name, file] of Object.entries(jobs.files)) {
   const data = fs.readFileSync(file);
   const gltf = await new GLTFLoader().parseAsync(data.buffer.slice(data.byteOffset, data.byteOffset + data.length), '');
-  let face; gltf.scene.traverse(o => { if (o.isMesh) face = o; });
+  const faces = []; gltf.scene.traverse(o => { if (o.isMesh) faces.push(o); });
+  faces.sort((a, b) => b.geometry.attributes.position.count - a.geometry.attributes.position.count);
   const mixer = new THREE.AnimationMixer(gltf.scene);
   const action = mixer.clipAction(gltf.animations[0]); action.setLoop(THREE.LoopOnce); action.clampWhenFinished = true;
-  out[name] = jobs.times[name].map(time => {
+  out[name] = faces.map(face => jobs.times[name].map(time => {
     action.reset().play(); mixer.setTime(time); gltf.scene.updateMatrixWorld(true);
     const v = new THREE.Vector3(), points = [];
     for (let i = 0; i < face.geometry.attributes.position.count; i++)
       points.push(face.getVertexPosition(i, v).applyMatrix4(face.matrixWorld).toArray());
     return points;
-  });
+  }));
 }
 fs.writeFileSync(process.argv[3], JSON.stringify(out));
 """
@@ -96,10 +100,17 @@ class Exports:
         shape = self.result.vertices[frame] * [1.0, -1.0, -1.0] if name == "actor" else mesh.shape(frame, posed=True)
         return shape - mesh.centre
 
-    def distance(self, name: str, points: np.ndarray) -> float:
-        """Largest distance in mm of points (4, V, 3) m from what is wanted."""
-        off = [1e3 * p - self.wanted(name, f) for p, f in zip(points, self.frames[name], strict=True)]
-        return float(np.linalg.norm(off, axis=2).max())
+    def said(self, name: str, points: np.ndarray, inside: np.ndarray | None = None) -> str:
+        """How far points (4, V, 3) m are from what is wanted, and those of the inside parts, which may follow the skin's."""
+        mesh = self.meshes[name]
+        n, frames = len(mesh.neutral), self.frames[name]
+        skin = [1e3 * p[:n] - self.wanted(name, f) for p, f in zip(points, frames, strict=True)]
+        text = f"within {np.linalg.norm(skin, axis=2).max():.5f} mm"
+        if mesh.inside is None:
+            return text
+        inside = points[:, n:] if inside is None else inside
+        off = [1e3 * p - mesh.inside.shape(f, posed=True) + mesh.centre for p, f in zip(inside, frames, strict=True)]
+        return text + f", eyes and teeth within {np.linalg.norm(off, axis=2).max():.5f} mm"
 
     def codes(self, name: str) -> list[float]:
         """Times of the four frames in frames of the scene."""
@@ -109,6 +120,7 @@ class Exports:
 def blender_rows(exports: Exports, pictures: Path | None) -> Iterator[Row]:
     """Vertices, keys and colours inside Blender."""
     files, frames, caches, render = {}, {}, {}, {}
+    jaw = exports.result.coefficients[:, exports.result.expression_names.index("jawOpen")]
     for (name, kind), path in exports.paths.items():
         if kind == "obj":
             for frame in exports.frames[name]:
@@ -128,16 +140,17 @@ def blender_rows(exports: Exports, pictures: Path | None) -> Iterator[Row]:
             "frames": frames,
             "caches": caches,
             "render": render,
+            "shown": dict.fromkeys(render, int(exports.meshes["actor"].codes[jaw.argmax()])),  # the mouth is open
         },
     )
     for name, kind in exports.paths:
         if kind == "obj":
             points = np.concatenate([answer[f"{name} obj {frame}/points"] for frame in exports.frames[name]])
-            yield "Blender", f"{name}, OBJ sequence", f"four frames within {exports.distance(name, points):.5f} mm"
+            yield "Blender", f"{name}, OBJ sequence", f"four frames {exports.said(name, points)}"
             continue
         key = f"{name} {kind}"
         keys = answer[f"{key}/keys"]
-        said = f"four frames within {exports.distance(name, answer[f'{key}/points']):.5f} mm"
+        said = f"four frames {exports.said(name, answer[f'{key}/points'], answer.get(f'{key}/inside'))}"
         said += f"; {len(keys)} keys, {np.abs(keys - np.rint(keys)).max():.4f} frames off at most" if len(keys) else ""
         colours = ", ".join(answer[f"{key}/colours"])
         yield "Blender", f"{name}, .{kind}", said + (f"; vertex colours {colours}" if colours else "")
@@ -147,6 +160,11 @@ def usd_rows(exports: Exports) -> Iterator[Row]:
     """USD's validators and its own skinning."""
     from pxr import Usd, UsdGeom, UsdSkel, UsdValidation
 
+    def placed(body, code: float) -> np.ndarray:
+        """(V, 3) m in the world."""
+        place = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(body.GetPrim()))
+        return np.array(body.GetPointsAttr().Get(code), float) @ place[:3, :3] + place[3, :3]
+
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     for (name, kind), path in exports.paths.items():
         if not kind.startswith("usd"):
@@ -155,16 +173,12 @@ def usd_rows(exports: Exports) -> Iterator[Row]:
         stage = Usd.Stage.Open(str(path))
         span = f"{stage.GetStartTimeCode():g} to {stage.GetEndTimeCode():g} at {stage.GetTimeCodesPerSecond():g} a second"
         UsdSkel.BakeSkinning(stage.Traverse())
-        body = next(UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
-        points = []
-        for code in exports.codes(name):
-            place = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(body.GetPrim()))
-            points.append(np.array(body.GetPointsAttr().Get(code), float) @ place[:3, :3] + place[3, :3])
+        bodies = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+        meshes = [np.stack([placed(body, code) for code in exports.codes(name)]) for body in bodies]
         yield (
             f"USD {'.'.join(map(str, Usd.GetVersion()[1:]))}",
             f"{name}, .{kind}",
-            f"skinned within {exports.distance(name, np.array(points)):.5f} mm; {errors} errors of {len(validators)} "
-            f"validators; {span}",
+            f"skinned {exports.said(name, *meshes)}; {errors} errors of {len(validators)} validators; {span}",
         )
 
 
@@ -181,9 +195,8 @@ def web_rows(exports: Exports, modules: Path) -> Iterator[Row]:
     times = {key: exports.meshes[name].timestamps[exports.frames[name]].tolist() for key, (name, _) in kinds.items()}
     jobs.write_text(json.dumps({"files": dict(zip(names, files, strict=True)), "times": times}))
     subprocess.run(["node", str(script), str(jobs), str(answer)], check=True, cwd=modules.parent)
-    for name, points in json.loads(answer.read_text()).items():
-        off = exports.distance(kinds[name][0], np.array(points))
-        yield "three.js", name, f"four frames within {off:.5f} mm"
+    for name, meshes in json.loads(answer.read_text()).items():
+        yield "three.js", name, f"four frames {exports.said(kinds[name][0], *map(np.array, meshes))}"
 
 
 def take_rows(folder: Path) -> Iterator[Row]:
@@ -213,6 +226,7 @@ def rows(folder: Path, meshes: dict[str, AnimatedMesh], result: Result, pictures
     modules = npm(folder)
     if modules is not None:
         yield from web_rows(exports, modules)
+        yield from viewer_rows(folder, {name: exports.paths[name, "glb"] for name in meshes}, result, pictures)
     if REAL_TAKE.is_file():
         yield from take_rows(folder)
 
@@ -228,7 +242,7 @@ def main() -> None:
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
     meshes = {
-        "actor": actor_animation(result, actor),
+        "actor": with_insides(actor_animation(result, actor), result, actor),
         "hag": character_animation(load_character("hag"), retarget(result, actor=actor)),
     }
     print("| program | export | evaluated inside it |\n|---|---|---|")

@@ -138,7 +138,12 @@ def test_glb_carries_the_parts_and_is_read_as_before(scene, tmp_path, compact):
     np.testing.assert_allclose(with_parts.neutral, without.neutral, atol=atol)
     np.testing.assert_allclose(with_parts.shape(3), without.shape(3), atol=2.5 * atol)
     file = GltfFile(tmp_path / "whole.glb")
-    assert [node["name"] for node in file.items("nodes")] == ["performance", "head", "insides"]
+    nodes = file.items("nodes")
+    assert [node["name"] for node in nodes] == ["performance", "head", "insides"]
+    assert "children" not in nodes[1]  # three.js would give the head's weights to them
+    assert {k: nodes[2].get(k) for k in ("translation", "rotation", "scale")} == {
+        k: nodes[1].get(k) for k in ("translation", "rotation", "scale")
+    }
     assert file.items("animations")[0]["channels"][-1]["target"]["node"] == 1  # early readers take the last weights
 
 

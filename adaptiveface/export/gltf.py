@@ -127,7 +127,7 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
 
     Node "performance" carries node "head", which is animated by the head's pose and rests in that of the first frame, so
     that viewers frame the face; "performance" is placed so that the median position of the head is the origin. Target
-    names are in ``mesh.extras.targetNames``. Inside parts are the node "insides", a child of "head".
+    names are in ``mesh.extras.targetNames``. Inside parts are the node "insides" beside "head".
     """
     builder, packing = _Builder(), _Packing(mesh, compact)
     document = {
@@ -149,11 +149,11 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
         ],
         "animations": [_animation(builder, mesh, packing)],
     }
-    if mesh.inside is not None:
-        _add_inside(document, builder, mesh.inside, packing)
     if compact:
         document["nodes"][1]["scale"] = 3 * [packing.scale]
         document |= {"extensionsUsed": [_QUANTIZED], "extensionsRequired": [_QUANTIZED]}
+    if mesh.inside is not None:
+        _add_inside(document, builder, mesh.inside, packing)
     if mesh.colours is None:
         document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [*map(float, linear_colours(SKIN)), 1.0]
     document |= {"accessors": builder.accessors, "bufferViews": builder.views, "buffers": [{"byteLength": len(builder.binary)}]}
@@ -161,20 +161,26 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
 
 
 def _add_inside(document: dict, builder: _Builder, inside: AnimatedMesh, packing: _Packing) -> None:
-    """A second mesh that the head carries. Its channel is the first, because early readers took the last for the skin's."""
-    document["nodes"][1]["children"] = [2]
-    document["nodes"].append({"name": "insides", "mesh": 1})
+    """A second mesh that moves as the head does.
+
+    It is no child of the head, because three.js gives a node's weights to all below it. Its channels are the first, because
+    early readers took the last for the head's.
+    """
+    nodes, animation = document["nodes"], document["animations"][0]
+    nodes[0]["children"].append(2)
+    nodes.append(nodes[1] | {"name": "insides", "mesh": 1})
     document["meshes"].append(_mesh(builder, inside, packing, material=1))
     surface = {"metallicFactor": 0.0, "roughnessFactor": 0.3}
     document["materials"].append({"name": "insides", "doubleSided": True, "pbrMetallicRoughness": surface})
+    moves = [c for c in animation["channels"] if c["target"]["path"] != "weights"]
+    channels = [c | {"target": c["target"] | {"node": 2}} for c in moves]
     if inside.targets.size:
-        animation = document["animations"][0]
         values = np.ascontiguousarray(packing.weights(inside.weights)).ravel()
         output = builder.accessor(values, **_normalized(values))
         times = animation["samplers"][0]["input"]
         animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
-        channel = {"sampler": len(animation["samplers"]) - 1, "target": {"node": 2, "path": "weights"}}
-        animation["channels"].insert(0, channel)
+        channels.append({"sampler": len(animation["samplers"]) - 1, "target": {"node": 2, "path": "weights"}})
+    animation["channels"] = channels + animation["channels"]
 
 
 def _metres(vector: np.ndarray) -> list[float]:

@@ -1,7 +1,8 @@
 """Runs inside Blender's Python (``bpy``): imports exported files as a user would and says what Blender makes of them.
 
 ``python evaluate.py jobs.json out.npz``. jobs: {"fps": [numerator, base], "files": {key: path}, "frames": {key: [frame,
-...]}, "render": {key: png}}. Frames are those of the scene. out: key/points (K, V, 3) in metres in world axes turned
+...]}, "render": {key: png}}. Frames are those of the scene. out: key/points (K, V, 3), and
+key/inside of a second mesh, in metres in world axes turned
 back to y up, key/range (first, last, fps), key/keys: the frames of all keys of the shapes, key/materials. The package
 itself is not imported: Blender comes with a numpy of its own.
 """
@@ -37,18 +38,23 @@ def add_cache(path: str) -> None:
     scene.frame_start, scene.frame_end = 0, 250
 
 
+def mesh_objects() -> list:
+    """The objects with meshes, the one with the most vertices first: the skin, then what is inside."""
+    return sorted((o for o in bpy.data.objects if o.type == "MESH"), key=lambda o: -len(o.data.vertices))
+
+
 def mesh_object():
     """The object with the most vertices."""
-    return max((o for o in bpy.data.objects if o.type == "MESH"), key=lambda o: len(o.data.vertices))
+    return mesh_objects()[0]
 
 
-def points(frame: float) -> np.ndarray:
-    """(V, 3) m as Blender evaluates them at a frame, y up as in the file."""
+def points(frame: float, number: int = 0) -> np.ndarray:
+    """(V, 3) m of one of the meshes as Blender evaluates them at a frame, y up as in the file."""
     scene = bpy.context.scene
     whole = int(np.floor(frame))
     scene.frame_set(whole, subframe=frame - whole)
     graph = bpy.context.evaluated_depsgraph_get()
-    body = mesh_object().evaluated_get(graph)
+    body = mesh_objects()[number].evaluated_get(graph)
     mesh = body.to_mesh()
     flat = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", flat)
@@ -75,7 +81,7 @@ def render(path: str, frame: int) -> None:
     cloud = points(frame)[:, [0, 2, 1]] * [1, -1, 1]
     middle, size = (cloud.min(axis=0) + cloud.max(axis=0)) / 2, float(np.ptp(cloud, axis=0).max())
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    camera.location = middle + np.array([0.0, -2.6 * size, 0.05 * size])
+    camera.location = middle + np.array([0.0, -1.9 * size, 0.05 * size])
     camera.rotation_euler = (np.pi / 2, 0.0, 0.0)
     camera.data.clip_start = 0.001
     light = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
@@ -102,6 +108,8 @@ def main(jobs_path: str, out_path: str) -> None:
             add_cache(jobs["caches"][key])
         scene = bpy.context.scene
         out[f"{key}/points"] = np.stack([points(frame) for frame in jobs["frames"][key]])
+        if len(mesh_objects()) > 1:
+            out[f"{key}/inside"] = np.stack([points(frame, 1) for frame in jobs["frames"][key]])
         out[f"{key}/range"] = np.array([scene.frame_start, scene.frame_end, scene.render.fps / scene.render.fps_base])
         out[f"{key}/keys"] = key_frames()
         body = mesh_object()
@@ -109,7 +117,7 @@ def main(jobs_path: str, out_path: str) -> None:
         out[f"{key}/materials"] = np.array([slot.material.name for slot in body.material_slots if slot.material], str)
         out[f"{key}/colours"] = np.array([layer.name for layer in body.data.color_attributes], str)
         if key in jobs.get("render", {}):
-            render(jobs["render"][key], int(jobs["frames"][key][-1]))
+            render(jobs["render"][key], int(jobs.get("shown", {}).get(key, jobs["frames"][key][-1])))
     np.savez(out_path, **out)
 
 
