@@ -35,7 +35,7 @@ UPPER_PART = """view => {
   outer.scrollBy(0, view.getBoundingClientRect().top - outer.getBoundingClientRect().top - 250);
 }"""
 SIZE = {"width": 1280, "height": 1150}
-VIEW = ".jp-OutputArea-output .jupyter-widgets img, .jp-OutputArea-output img"
+VIEW = ".jp-OutputArea-output .jupyter-widgets canvas, .jp-OutputArea-output .jupyter-widgets img, .jp-OutputArea-output img"
 
 
 def free_port() -> int:

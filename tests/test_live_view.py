@@ -44,18 +44,18 @@ def test_the_view_draws_the_scan_and_then_the_tracked_face(sensor, strict):
         await view.until(lambda v: v.run.state == "scanning" and v.drawn > 3)
         assert "adaptiveface-coverage" in view.controls.coverage.value and not view.controls.enough.disabled
         assert view.controls.save.disabled
-        scan = view.mesh._view._image.value
+        scan = view.mesh._view._image.frame
         view.controls.enough.click()
         await view.until(lambda v: v.result is not None and v.result.index > 5)
-        assert view.mesh._view._image.value != scan and "done" not in view.controls.status.value
+        assert view.mesh._view._image.frame != scan and "done" not in view.controls.status.value
         drawn = view.drawn
         await view.until(lambda v: v.drawn > drawn + 5 and "latency" in v.controls.figures.value)
         assert view.curves.coefficients is not None and "dropped" in view.controls.figures.value
         for choice in (TO_DEPTH, PLAIN):
-            before = view.mesh._view._image.value
+            before = view.mesh._view._image.frame
             view.mesh.heat.value, drawn = choice, view.drawn
             await view.until(lambda v, drawn=drawn: v.drawn > drawn)
-            assert view.mesh._view._image.value != before
+            assert view.mesh._view._image.frame != before
         view.close()
 
     asyncio.run(scenario())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import dataclasses
 import threading
 from contextlib import ExitStack
@@ -24,7 +25,6 @@ from adaptiveface.parameters import Parameters, describe  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study  # noqa: E402
 from adaptiveface.views.kernel import BackgroundTask, on_main_thread, shown_errors  # noqa: E402
-from adaptiveface.views.painted_view import PaintedView  # noqa: E402
 from adaptiveface.views.pictures import annotate  # noqa: E402
 from adaptiveface.views.session import Session, liveliest_window  # noqa: E402
 
@@ -113,73 +113,99 @@ def walk(widget):
 # ---- pictures and charts ----
 
 
+def sent(view, pane: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) mm and values (N,) that the browser has of a pane; of codes, as heads.js decodes them."""
+    one = view._image.frame[pane]
+    codes, (low, high) = np.frombuffer(one["values"], "<u2").astype(float), one["range"]
+    values = np.where(codes == 65535, np.nan, low + codes * (high - low) / 65534)
+    return np.frombuffer(one["positions"], "<i2").reshape(-1, 3) / 64, values
+
+
 def test_face_view_shows_heat_motion_and_camera(session):
     actor = session.actor
     view = views.FaceView.of(actor, ("left", "right"), limits=(0, 5), label="mm", pane=(160, 180))
-    view.refresh()
-    plain = decoded(view._image)
+    plain = view.picture().astype(int)
     assert plain.shape == (180, 320, 3) and 20 < plain.mean() < 250 and plain.std() > 20
     view.show(1, actor.neutral, np.full(len(actor.neutral), 5.0))
-    view.refresh()
-    hot = decoded(view._image)
+    hot = view.picture().astype(int)
     left, right = np.abs(hot - plain)[:, :160], np.abs(hot - plain)[:, 160:]
     assert (left > 12).mean() < 0.001 < 0.2 < (right > 12).mean()
-    b, g, r = hot[60:120, 215:265].reshape(-1, 3).mean(axis=0)
+    r, g, b = hot[60:120, 215:265].reshape(-1, 3).mean(axis=0)
     assert min(g, r) > b + 40, "the top of the range is yellow"
-    view.turn.value = 45
-    turned = np.abs(decoded(view._image) - hot).max(axis=2) > 12
+    view.look(45)
+    turned = np.abs(view.picture() - hot).max(axis=2) > 12
     assert turned[:, :160].mean() > 0.05 and turned[:, 160:].mean() > 0.05, "the cameras are linked"
+    assert view._image.camera == [45.0, 0.0, 1.0], "the browser turns, too"
     view.close()
 
 
-def test_the_live_view_paints_what_vtk_draws(session):
-    """Beside a live tracker a kernel of our own draws the head; from any side it is the picture of the other views."""
+def test_the_browser_gets_what_is_shown(session):
     actor = session.actor
-    heat = np.where(actor.frontal, np.abs(actor.neutral[:, 0]) / 20, np.nan)
-    vtk = views.FaceView.of(actor, limits=(0, 3), pane=(160, 180))
-    painted = PaintedView(actor.neutral, actor.triangles, limits=(0, 3), size=(160, 180), centre=vtk.centre)
-    for camera in ((0.0, 0.0, 1.0), (40.0, -20.0, 1.0), (-80.0, 10.0, 2.5)):
-        for view in (vtk, painted):
-            view.show(0, actor.neutral, heat)
-            view.look(*camera)
-        difference = np.abs(vtk.picture().astype(int) - painted.picture())
-        assert difference.mean() < 1.5 and (difference.max(axis=2) > 30).mean() < 0.01
-    vtk.close()
-
-
-def test_mouse_and_sliders_move_one_camera(session):
-    """What the browser sends while a face is dragged, and what stays after the view is closed."""
-    view = views.FaceView.of(session.actor, ("face",), limits=(0, 5), pane=(160, 180))
-    ahead = decoded(view._image)
-    view._image.set_state({"camera": [-37.0, 12.0, 1.5]})
-    assert (view.turn.value, view.tilt.value, view.zoom.value) == (-37, 12, 150)
-    dragged = decoded(view._image)
-    assert (np.abs(dragged - ahead).max(axis=2) > 12).mean() > 0.1
-    view.turn.value = 20
-    assert view._image.camera == [20.0, 12.0, 1.5], "the next drag goes on from the slider"
-    view._image.set_state({"camera": [0.0, 0.0, 1.0]})
-    assert view.zoom.value == 100 and np.array_equal(decoded(view._image), ahead), "a double click goes back"
-    view.look(-37.0, 12.0, 1.5)
-    assert view.turn.value == -37 and np.array_equal(decoded(view._image), dragged)
+    view = views.FaceView.of(actor, ("one", "two"), limits=(-2, 2), compare=True)
+    heat = np.where(actor.frontal, np.linspace(-3, 4, len(actor.neutral)), np.nan)
+    view.show(1, actor.neutral + [0.0, 0.0, 3.0], heat)
+    before = view._image.frame
+    assert np.abs(sent(view, 1)[0] - actor.neutral).max() < 0.01, "only with refresh()"
+    view.refresh()
+    positions, values = sent(view, 1)
+    assert np.abs(positions - actor.neutral - [0, 0, 3]).max() < 0.01
+    np.testing.assert_allclose(values, heat, atol=1e-4)
+    assert not len(sent(view, 0)[1]) and view._image.frame[0] == before[0]
+    base = np.frombuffer(view._image.frame[1]["base"], "<i2").reshape(-1, 3) / 64
+    assert np.abs(base - actor.neutral).max() < 0.01 and view._image.frame[0]["base"] is None, "of the first head"
+    triangles = np.frombuffer(view._image.geometry[1]["triangles"], np.uint32).reshape(-1, 3)
+    assert np.array_equal(triangles, actor.triangles) and view._image.geometry[1]["count"] == len(actor.neutral)
+    red, blue = np.frombuffer(view._image.palette, np.uint8).reshape(-1, 3)[[-1, 0]].astype(int)
+    assert red[0] > red[2] + 80 and blue[2] > blue[0] + 80, "signed values have signed colours"
     view.close()
-    view.turn.value = 0
-    assert np.array_equal(decoded(view._image), dragged), "the last picture stays"
+    view.show(0, 2 * actor.neutral)
+    view.refresh()
+    assert np.abs(sent(view, 0)[0] - actor.neutral).max() < 0.01, "the last picture stays"
+
+
+def test_a_view_hands_its_heads_to_pyvista(session):
+    actor = session.actor
+    view = views.FaceView.of(actor, ("v1: fit", "v2: deformed"))
+    view.show(1, actor.neutral + [0.0, 1.0, 0.0], np.arange(len(actor.neutral)))
+    mesh = view.mesh("v2")
+    np.testing.assert_allclose(mesh.points, (actor.neutral + [0, 1, 0])[:, [2, 0, 1]], atol=1e-3)
+    assert np.array_equal(mesh["heat"], np.arange(len(actor.neutral))) and "heat" not in view.mesh(0).array_names
+    assert view.mesh("v1", heat=np.ones(len(actor.neutral)))["heat"].max() == 1
+    with pytest.raises(KeyError, match="v1: fit, v2: deformed"):
+        view.mesh("v4")
+
+
+def test_a_displayed_view_leaves_a_picture(session):
+    """What a saved notebook shows where no kernel runs."""
+    bench = bench_of(session)
+    for widget in (bench.view.widget, bench.widget):
+        bundle = widget._repr_mimebundle_()
+        assert "application/vnd.jupyter.widget-view+json" in bundle
+        png = np.frombuffer(base64.b64decode(bundle["image/png"]), np.uint8)
+        picture = cv2.cvtColor(cv2.imdecode(png, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+        assert np.array_equal(picture, bench.view.picture()) and picture.std() > 20
+    bench.close()
 
 
 def test_points_appear_where_they_are(session):
     actor = session.actor
     view = views.FaceView.of(actor, ("points",), limits=(0, 1), pane=(160, 180))
     view.hide_head(0)
-    view.refresh()
-    empty = decoded(view._image)
+    empty = view.picture().astype(int)
     tip = actor.neutral[actor.neutral[:, 2].argmax()]
     for side in (-1.0, 1.0):  # the subject's left is +x, on the right of the picture
-        view.show_points(0, tip + np.array([30.0 * side, 0, 0]) + np.random.default_rng(0).normal(size=(500, 3)), np.ones(500))
+        cloud = tip + np.array([30.0 * side, 0, 0]) + np.random.default_rng(0).normal(size=(500, 3))
+        view.show_points(0, cloud, np.ones(500))
         view.refresh()
-        columns = np.nonzero((np.abs(decoded(view._image) - empty).max(axis=2) > 40).any(axis=0))[0]
+        columns = np.nonzero((np.abs(view.picture() - empty).max(axis=2) > 40).any(axis=0))[0]
         assert len(columns) and (columns > 80).all() == (side > 0) and (columns < 80).all() == (side < 0)
+        shown = view._image.frame[0]
+        assert not shown["visible"], "without the head"
+        points = np.frombuffer(shown["points"]["positions"], "<i2").reshape(-1, 3) / 64
+        assert np.abs(points - cloud).max() < 0.01
     view.show_points(0, np.zeros((0, 3)))
     view.refresh()
+    assert np.array_equal(view.picture(), empty)
     view.close()
 
 
@@ -345,9 +371,10 @@ def test_the_sliders_of_a_workbench_end_at_the_actors_expressions(session, stric
 def test_a_moved_slider_changes_the_picture_and_then_the_chart(session, strict):
     async def scenario() -> None:
         bench = bench_of(session, start=8)
-        face, chart = decoded(bench.view._image), decoded(bench.charts[0][0]._image)
+        face, chart = bench.view.picture().astype(int), decoded(bench.charts[0][0]._image)
         bench.panel["laplacian.w2"].value = max(v for _, v in bench.panel["laplacian.w2"].options)
-        now = decoded(bench.view._image)
+        now, told = bench.view.picture(), sent(bench.view, 1)[0]
+        np.testing.assert_allclose(told, bench.result.v2, atol=0.01)
         half = now.shape[1] // 2
         assert (np.abs(now - face)[:, half:].max(axis=2) > 8).mean() > 0.01, "the right head, at once"
         await bench.settled()
@@ -618,42 +645,6 @@ def test_session_from_a_recording(tmp_path):
     assert len(session.neutral) == 3 and len(session.frames) == 4 and session.truth is None
     with pytest.raises(AdaptiveFaceError, match="more than the 8 neutral ones"):
         views.load_session(str(tmp_path / "take"), neutral_frames=8)
-
-
-def test_a_drag_that_arrives_while_the_last_one_is_followed_is_not_lost(session):
-    """Jupyter hands over the browser's wishes on a thread of its own."""
-
-    async def scenario():
-        view = views.FaceView.of(session.actor)
-
-        def drag_on(change):
-            if change.new == 10:
-                drag = threading.Thread(target=lambda: setattr(view._image, "camera", [-32.0, 0.0, 1.0]))
-                drag.start()
-                drag.join()
-
-        view.turn.observe(drag_on, "value")
-        view.look(10.0)
-        await asyncio.sleep(0.2)
-        assert view.turn.value == -32 and view._image.camera == [-32.0, 0.0, 1.0]
-        view.close()
-
-    asyncio.run(scenario())
-
-
-def test_following_a_drag_does_not_write_an_older_wish_over_a_newer_one(session):
-    """ipywidgets holds a message's notifications back until its values are set: the kernel may draw in between."""
-
-    async def scenario():
-        view = views.FaceView.of(session.actor)
-        with view._image.hold_trait_notifications():
-            view._image.camera = [0.0, 0.0, 1.8]
-            view._wish(0.0, 0.0, 1.7)
-        await asyncio.sleep(0.2)
-        assert view.zoom.value == 180 and view._image.camera == [0.0, 0.0, 1.8]
-        view.close()
-
-    asyncio.run(scenario())
 
 
 def test_a_workbench_hands_its_meshes_to_pyvista(session):

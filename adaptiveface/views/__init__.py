@@ -1,4 +1,4 @@
-"""Panels and pictures for the notebooks; the only package that imports pyvista or ipywidgets.
+"""Panels and pictures for the notebooks; the only package that imports ipywidgets.
 
 Needs the extra ``notebooks``. :func:`load_session` gives a performance, :class:`Workbench` puts a stage on show, and
 the studies (:mod:`.laplacian_study` and its neighbours) hold what one notebook alone needs.
@@ -18,8 +18,6 @@ except ImportError:
 
 from .charts import BarChart, GridChart, LiveChart
 from .face_view import FaceView
-from .head_view import colour_bar
-from .headless import prepare_rendering
 from .kernel import on_main_thread, running_tasks, strict
 from .live_view import LiveView
 from .measures import Measures, depth_distance, plain
@@ -49,7 +47,6 @@ __all__ = [
     "SeriesCache",
     "Session",
     "Workbench",
-    "colour_bar",
     "depth_distance",
     "error_chart",
     "fast",
@@ -58,7 +55,6 @@ __all__ = [
     "Turntable",
     "on_main_thread",
     "plain",
-    "prepare_rendering",
     "running_tasks",
     "strict",
     "verdict_of",

@@ -7,17 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..actor import Actor
-from ..rendering import Light, heat_map, irradiance
-from .head_view import COLOURMAP, DISTANCE, PIVOT_DEPTH, HeadView
-from .headless import prepare_rendering
+from ..polydata import surface
+from . import heads, still
+from .pictured import Pictured
+
+#: Colour maps that people with any colour vision can order: of lengths, and of signed values.
+COLOURMAP, SIGNED = "viridis", "coolwarm"
 
 
-class FaceView(HeadView):
-    """Heads of one topology, pane by pane. ``widget`` is what to display; :meth:`close` frees the renderer.
+class FaceView:
+    """Heads of one topology, pane by pane. ``widget`` is what to display; the browser draws it and turns it.
 
-    ``titles``: one per pane. ``limits``, ``label``: range and meaning of every heat map ("distance in mm"). ``shape``
-    (rows, columns) of the panes. Cameras are linked: turn, tilt and zoom act on all, by mouse (drag, wheel, double click)
-    or by sliders.
+    ``titles``: one per pane. ``limits``, ``label``: range and meaning of every heat map ("distance in mm"); the colours are
+    those of signed values where the range begins below zero. ``shape`` (rows, columns) of the panes. ``centre`` (3,) mm of
+    what is looked at, ``radius`` mm of what is seen of it. ``compare``: with several panes a slider enlarges their
+    difference from the first one. Cameras are linked: turn, tilt and zoom act on all.
     """
 
     def __init__(
@@ -30,33 +34,31 @@ class FaceView(HeadView):
         pane: tuple[int, int] = (380, 420),
         centre: np.ndarray | None = None,
         shape: tuple[int, int] | None = None,
-        colourmap: str = COLOURMAP,
+        colourmap: str | None = None,
         radius: float = 138.0,
+        compare: bool = False,
     ) -> None:
-        pyvista = prepare_rendering()
+        vertices, self._triangles = np.asarray(vertices, float), np.asarray(triangles)
+        self.titles, self.limits, self._closed = tuple(titles), tuple(map(float, limits)), False
+        self.colourmap = colourmap or (SIGNED if limits[0] < 0 else COLOURMAP)
+        self.centre = vertices.mean(axis=0) if centre is None else np.asarray(centre, float)
         rows, columns = shape or (1, len(titles))
-        size = (pane[0] * columns, pane[1] * rows)
-        super().__init__(vertices, triangles, len(titles), size, limits, colourmap, centre, radius)
-        self.plotter = pyvista.Plotter(off_screen=True, notebook=False, shape=(rows, columns), window_size=size, border=False)
-        faces = np.column_stack([np.full(len(triangles), 3), triangles]).astype(np.int64)
-        self._meshes, self._actors, self._clouds = [], [], {}
-        for number, title in enumerate(titles):
-            self.plotter.subplot(*divmod(number, columns))
-            self.plotter.set_background("white")
-            mesh = pyvista.PolyData(np.asarray(vertices, np.float32), faces)
-            mesh["lit"] = np.full((len(vertices), 3), 200, np.uint8)
-            drawn = self.plotter.add_mesh(mesh, scalars="lit", rgb=True, lighting=False, show_scalar_bar=False)
-            self._actors.append(drawn)
-            if title:
-                # In a corner, pyvista would scale the text to its length.
-                place = (0.01, 1 - (19 + 14 * title.count("\n")) / pane[1])
-                self.plotter.add_text(title, position=place, viewport=True, font_size=7, color="black")
-            self._meshes.append(mesh)
-        self.plotter.disable_anti_aliasing()
-        if len(titles) > 1:
-            self.plotter.link_views()
-        self._make_widget(label)
-        self.look()
+        self._compare = compare and len(titles) > 1
+        self._shown = [still.Shown(vertices) for _ in titles]
+        self._image = heads.Heads(
+            geometry=[heads.geometry(len(vertices), self._triangles)] * len(titles),
+            frame=self._frame(),
+            titles=list(self.titles),
+            grid=[columns, rows],
+            pane=list(pane),
+            centre=[float(x) for x in self.centre],
+            radius=float(radius),
+            limits=list(self.limits),
+            label=label,
+            palette=heads.palette(self.colourmap),
+            differs=self._compare,
+        )
+        self.widget = Pictured([self._image], self.picture)
 
     @classmethod
     def of(cls, actor: Actor, titles: Sequence[str] = ("",), **options) -> FaceView:
@@ -66,12 +68,12 @@ class FaceView(HeadView):
 
     def show(self, pane: int, vertices: np.ndarray, heat: np.ndarray | None = None) -> None:
         """Put vertices (N, 3), head frame mm, into a pane, coloured by ``heat`` (N,); then :meth:`refresh`."""
-        super().show(pane, vertices, heat)
-        self._meshes[pane].points = np.asarray(vertices, np.float32)
+        shown = self._shown[pane]
+        shown.vertices, shown.heat = np.asarray(vertices, float), None if heat is None else np.asarray(heat, float)
 
     def hide_head(self, pane: int) -> None:
-        """Leave only the points in a pane."""
-        self._actors[pane].visibility = False
+        """Leave only the points in a pane; then :meth:`refresh`."""
+        self._shown[pane].visible = False
 
     def show_points(
         self,
@@ -84,55 +86,52 @@ class FaceView(HeadView):
     ) -> None:
         """A cloud of points (n, 3) in a pane, coloured by values (n,) in the view's range, lit by normals (n, 3).
 
-        ``size``: of a point, pixels; the first call's counts.
-        Drawn with a constant ``count``: a cloud that changes its size would have to be rebuilt for every frame.
+        ``count``: at most so many points, evenly chosen; ``size``: of a point, pixels. Then :meth:`refresh`.
         """
-        if len(points) == 0:
-            points, values, normals = np.full((1, 3), 1e6), None, None  # out of sight
-        pick = np.linspace(0, len(points) - 1, count).astype(int)
-        positions = np.asarray(points, np.float32)[pick]
-        shown = np.zeros(count) if values is None else np.asarray(values, float)[pick]
-        colours = heat_map(shown, self.limits, self._colourmap)
-        if normals is not None:
-            towards = np.broadcast_to(self._away[None], (count, 3))
-            diffuse, _ = irradiance(np.asarray(normals, float)[pick], towards, Light())
-            colours = colours * diffuse[:, None]
-        colours = np.clip(colours, 0, 255).astype(np.uint8)
-        if pane in self._clouds:
-            self._clouds[pane].points, self._clouds[pane]["lit"] = positions, colours
-            return
-        cloud = prepare_rendering().PolyData(positions)
-        cloud["lit"] = colours
-        self.plotter.subplot(*divmod(pane, self.plotter.shape[1]))
-        self.plotter.add_mesh(
-            cloud,
-            scalars="lit",
-            rgb=True,
-            style="points",
-            point_size=size,
-            lighting=False,
-            show_scalar_bar=False,
-            reset_camera=False,
-        )
-        self._clouds[pane] = cloud
+        pick = np.linspace(0, len(points) - 1, min(count, len(points))).astype(int)
+        values = np.zeros(len(pick)) if values is None else np.asarray(values, float)[pick]
+        normals = None if normals is None else np.asarray(normals, float)[pick]
+        self._shown[pane].cloud = (np.asarray(points, float).reshape(-1, 3)[pick], values, normals, size)
 
-    def _aim(self) -> None:
-        for renderer in self.plotter.renderers:
-            camera = renderer.camera
-            camera.focal_point, camera.up = self._pivot, (0.0, 1.0, 0.0)
-            camera.position = self._pivot + (DISTANCE + PIVOT_DEPTH) * self._away
-            camera.view_angle = float(np.degrees(2 * np.arctan(self._spread)))
-            camera.clipping_range = (100.0, 2000.0)
+    def look(self, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0) -> None:
+        """Camera ``turn`` degrees to the side and ``tilt`` degrees up from straight ahead, on every page that shows it."""
+        self._image.camera = [float(turn), float(tilt), float(zoom)]
+
+    def refresh(self) -> None:
+        """Send to the browser what has changed."""
+        if not self._closed:
+            self._image.frame = self._frame()
+
+    def _frame(self) -> list[dict]:
+        """What the browser shows, pane by pane."""
+        base = self._shown[0].vertices if self._compare else None
+        out = []
+        for k, shown in enumerate(self._shown):
+            one = heads.shape(shown.vertices, shown.heat, base if k else None, shown.visible)
+            out.append(one | ({"points": heads.points(*shown.cloud)} if shown.cloud else {}))
+        return out
 
     def picture(self) -> np.ndarray:
-        """(H, W, 3) uint8 of the panes as they are now."""
-        for pane, mesh in enumerate(self._meshes):
-            # Lit per vertex here: in software, VTK's own lights take 20 ms for every pane.
-            mesh["lit"] = self._lit(pane)
-        self.plotter.render()  # screenshot() alone returns the previous picture
-        return np.asarray(self.plotter.screenshot(return_img=True))[..., :3]
+        """(H, W, 3) uint8 of the panes as they are now, drawn here: what a saved notebook shows without a kernel."""
+        image = self._image
+        camera = still.Still(tuple(image.pane), self.centre, image.radius, *image.camera)
+        panes = [still.picture(camera, s, self._triangles, self.limits, self.colourmap) for s in self._shown]
+        return still.tiled(panes, image.grid[0], self.titles)
+
+    def mesh(self, pane: int | str = 0, heat: np.ndarray | None = None):
+        """A pane's head as ``pyvista.PolyData`` in mm: x out of the face, y to the subject's left, z up.
+
+        ``pane``: its number, or how its title begins ("v2"); ``heat`` (N,): the array of that name, by default the values
+        that are shown. Raises KeyError for a title that does not exist, :class:`MissingExtraError` without pyvista.
+        """
+        if isinstance(pane, str):
+            found = [k for k, title in enumerate(self.titles) if title.startswith(pane)]
+            if not found:
+                raise KeyError(f"no pane's title begins with {pane!r}; there are: {', '.join(self.titles)}")
+            pane = found[0]
+        shown = self._shown[pane]
+        return surface(shown.vertices, self._triangles, heat=shown.heat if heat is None else heat)
 
     def close(self) -> None:
-        """Free the renderer; the last picture stays."""
-        super().close()
-        self.plotter.close()
+        """Nothing further is sent; the last picture stays and can be turned."""
+        self._closed = True

@@ -16,8 +16,8 @@ from ..retargeting.character import load_character
 from ..retargeting.portrait import FACING, portrait
 from ..tracking.types import STAGE_NAMES
 from .charts import BarChart, LiveChart
+from .face_view import FaceView
 from .measures import depth_distance
-from .painted_view import PaintedView
 from .pictures import CameraView, encode, image_widget
 
 #: What the heat map can show, and the one fixed range of each, mm.
@@ -77,7 +77,7 @@ class MeshPane:
     def _open(self, owner, vertices: np.ndarray, title: str, limits, label: str, choices: bool) -> None:
         self.close()
         centre = vertices[owner.frontal].mean(axis=0)
-        self._view = PaintedView(vertices, owner.triangles, title, limits, label, self._size, centre)
+        self._view = FaceView(vertices, owner.triangles, (title,), limits, label, self._size, centre)
         self._actor = owner
         self.widget.children = [self._view.widget, *([self.heat] if choices else []), self.follow]
 

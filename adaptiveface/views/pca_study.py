@@ -46,7 +46,7 @@ class CorrectiveView:
 
     def _draw(self, model: AdaptiveModel) -> None:
         self._last = model.correctives
-        for k in range(len(self.view._meshes)):
+        for k in range(len(self.view.titles)):
             heat = np.full(len(self.actor.neutral), np.nan)
             vertices = self.actor.neutral.copy()
             if k < model.correctives.shape[1]:

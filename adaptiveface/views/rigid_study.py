@@ -101,8 +101,7 @@ class IcpStudy(_Study):
             log=True,
         )
         self._assemble([self.iteration, self.prune, self.shift, self.turn])
-        box = self.widget.children[0]
-        box.layout.max_height, box.children = None, (*box.children, self.chart.widget)
+        self.box.layout.max_height, self.box.children = None, (*self.box.children, self.chart.widget)
 
     def draw(self) -> None:
         start = displaced(self.result.rigid, self._centre, self.shift.value, self.turn.value)

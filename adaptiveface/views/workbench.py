@@ -19,6 +19,7 @@ from .face_view import FaceView
 from .kernel import on_main_thread
 from .measures import Measures, Pane, model_features
 from .parameter_panel import ParameterPanel
+from .pictured import Pictured
 from .pictures import CameraView
 from .player import Player
 from .replay import MakeTracker, Replay
@@ -61,7 +62,9 @@ class Workbench:
         expressions = len(session.actor.blendshapes)
         self.panel = ParameterPanel(controls, self._change, self.replay.parameters, ranges, expressions)
         side = 300 if len(panes) > 2 else 360
-        self.view = FaceView.of(session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.15 * side)))
+        self.view = FaceView.of(
+            session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.15 * side)), compare=True
+        )
         self.camera = CameraView((260, 300)) if camera else None
         self.player = Player(len(session.frames), self.show)
         self.verdict = widgets.HTML()  #: what has to be said first
@@ -87,14 +90,13 @@ class Workbench:
             widgets.VBox([self.panel.widget, self.message]),
             widgets.VBox([chart.widget for chart, _ in self.charts]),
         ]
-        self.widget = widgets.VBox(
-            [
-                self.verdict,
-                widgets.HBox(views, layout=row),
-                widgets.HBox([self.player.widget, restart], layout=row),
-                widgets.HBox(below, layout=row),
-            ]
-        )
+        parts = [
+            self.verdict,
+            widgets.HBox(views, layout=row),
+            widgets.HBox([self.player.widget, restart], layout=row),
+            widgets.HBox(below, layout=row),
+        ]
+        self.widget = Pictured(parts, self.view.picture)
         self.widget.add_class("adaptiveface-workbench")
 
     def _ipython_display_(self) -> None:

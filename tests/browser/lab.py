@@ -39,11 +39,14 @@ HARMLESS = (
 )
 
 _IDLE = "() => window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
-#: Counts the pictures that every widget image has really decoded, with their times.
-_WATCH = """() => { window.loads = {face: [], chart: []};
-  document.addEventListener('load', e => { const c = e.target.className ?? '';
-    if (c.includes?.('adaptiveface-face')) window.loads.face.push(performance.now());
-    if (c.includes?.('adaptiveface-chart')) window.loads.chart.push(performance.now()); }, true); }"""
+#: Counts the charts that the browser decodes, the pictures of faces with new shapes or colours, and, "turned", all that it
+#: draws of faces, with their times.
+_WATCH = """() => { window.loads = {face: [], chart: [], turned: []};
+  document.addEventListener('load', e => {
+    if (e.target.className?.includes?.('adaptiveface-chart')) window.loads.chart.push(performance.now()); }, true);
+  document.addEventListener('adaptiveface-picture', e => {
+    window.loads.turned.push(performance.now());
+    if (e.detail.fresh) window.loads.face.push(performance.now()); }, true); }"""
 
 
 @contextmanager

@@ -1,0 +1,85 @@
+"""The widget that draws heads and clouds in the browser: geometry once, then positions and values as bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import anywidget
+import numpy as np
+import traitlets
+from matplotlib import colormaps
+
+#: Lowest and highest turn and tilt, degrees, and zoom.
+BOUNDS = ((-90.0, 90.0), (-60.0, 60.0), (0.5, 3.0))
+#: Positions are sent as whole numbers of this many mm, 16 bits each: up to 512 mm from the origin of the head frame.
+STEP_MM = 1 / 64
+#: The code of a value that is not known; the others are 0 .. 65534 between the ends of their range.
+UNKNOWN = 65535
+
+
+class Heads(anywidget.AnyWidget):
+    """Panes of heads and points on one canvas; sources in ``web/src``. Turning and zooming stay in the browser.
+
+    ``geometry``: of every pane, see :func:`geometry`; ``frame``: what every pane shows, see :func:`shape` and
+    :func:`points`. ``grid`` (columns, rows); ``pane`` (width, height) pixels; ``limits``, ``label``, ``palette`` (RGB bytes)
+    of the heat map. ``camera`` (turn, tilt in degrees, zoom) is only ever sent to the browser. ``differs``: there is a
+    difference that ``exaggeration`` can enlarge. ``name`` becomes the canvas's CSS class, for tests.
+    """
+
+    _esm = Path(__file__).resolve().parents[1] / "assets" / "heads.js"
+    geometry = traitlets.List().tag(sync=True)
+    frame = traitlets.List().tag(sync=True)
+    titles = traitlets.List(traitlets.Unicode()).tag(sync=True)
+    grid = traitlets.List(traitlets.Int(), [1, 1]).tag(sync=True)
+    pane = traitlets.List(traitlets.Int(), [380, 420]).tag(sync=True)
+    centre = traitlets.List(traitlets.Float(), [0.0, 0.0, 0.0]).tag(sync=True)
+    radius = traitlets.Float(138.0).tag(sync=True)
+    limits = traitlets.List(traitlets.Float(), [0.0, 1.0]).tag(sync=True)
+    label = traitlets.Unicode("").tag(sync=True)
+    palette = traitlets.Bytes(b"").tag(sync=True)
+    camera = traitlets.List(traitlets.Float(), [0.0, 0.0, 1.0]).tag(sync=True)
+    bounds = traitlets.List([list(pair) for pair in BOUNDS]).tag(sync=True)
+    differs = traitlets.Bool(False).tag(sync=True)
+    exaggeration = traitlets.Float(1.0).tag(sync=True)
+    name = traitlets.Unicode("adaptiveface-face").tag(sync=True)
+
+
+def palette(colourmap: str) -> bytes:
+    """256 RGB colours of a matplotlib colour map."""
+    return (colormaps[colourmap](np.linspace(0, 1, 256))[:, :3] * 255).round().astype(np.uint8).tobytes()
+
+
+def geometry(count: int, triangles: np.ndarray, colours: np.ndarray | None = None) -> dict:
+    """What a pane's head is made of: number of vertices, triangles (T, 3), colours (N, 3) uint8 or None for skin."""
+    own = b"" if colours is None else np.asarray(colours, np.uint8).tobytes()
+    return {"count": count, "triangles": np.asarray(triangles, np.uint32).tobytes(), "colours": own or None}
+
+
+def shape(vertices: np.ndarray, heat: np.ndarray | None, base: np.ndarray | None = None, visible: bool = True) -> dict:
+    """What a pane's head looks like: vertices (N, 3) mm, heat (N,) or None, and what it differs from, (N, 3) or None."""
+    values, span = _coded(heat)
+    sent = b"" if base is None else _steps(base)
+    return {"positions": _steps(vertices), "base": sent or None, "values": values, "range": span, "visible": visible}
+
+
+def points(positions: np.ndarray, values: np.ndarray, normals: np.ndarray | None, size: float) -> dict:
+    """A cloud: positions (n, 3) mm, values (n,), unit normals (n, 3) or None, ``size`` of a point in pixels."""
+    coded, span = _coded(values)
+    directions = b"" if normals is None else np.round(127 * np.asarray(normals)).astype(np.int8).tobytes()
+    return {"positions": _steps(positions), "values": coded, "range": span, "normals": directions, "size": size}
+
+
+def _steps(positions: np.ndarray) -> bytes:
+    return np.clip(np.round(np.asarray(positions) / STEP_MM), -32768, 32767).astype("<i2").tobytes()
+
+
+def _coded(values: np.ndarray | None) -> tuple[bytes, list[float]]:
+    """Values as 16-bit codes, and the ends of their range."""
+    if values is None:
+        return b"", [0.0, 1.0]
+    values = np.asarray(values, float)
+    known = np.isfinite(values)
+    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
+    scale = (UNKNOWN - 1) / max(high - low, 1e-9)
+    codes = np.where(known, np.round((np.where(known, values, low) - low) * scale), UNKNOWN)
+    return codes.astype("<u2").tobytes(), [low, max(high, low + 1e-9)]

@@ -1,0 +1,174 @@
+// What stands in a pane: a head with its values, or a cloud of points.
+
+import { BufferAttribute, BufferGeometry, DoubleSide, DynamicDrawUsage, Mesh, Points, ShaderMaterial, Vector3 } from "three";
+
+const STEP = 1 / 64; // mm: positions are whole numbers of it
+const UNKNOWN = 65535; // among values, which are otherwise 0 .. 65534 between the ends of their range
+const SKIN = [205, 170, 150];
+const GREY = [160, 160, 160];
+
+// A wrapped key light and one at the camera, as in adaptiveface.rendering; both come along with the camera.
+const LIGHT = `
+  vec3 lit(vec3 colour, vec3 n, vec3 eye) {
+    n = dot(n, eye) < 0.0 ? -n : n;
+    vec3 key = normalize(vec3(-0.5, 0.6, 0.5));
+    float diffuse = 0.30 + 0.45 * abs(dot(n, eye)) + 0.30 * max((dot(n, key) + 0.35) / 1.35, 0.0);
+    float shine = 0.06 * pow(clamp(dot(n, normalize(eye + key)), 0.0, 1.0), 18.0);
+    return colour * diffuse + shine;
+  }`;
+const VERTEX = `${LIGHT}
+  attribute vec3 tint;
+  uniform float size;
+  varying vec3 shown;
+  void main() {
+    vec4 at = modelViewMatrix * vec4(position, 1.0);
+    shown = lit(tint, normalize(normalMatrix * normal), normalize(-at.xyz));
+    gl_PointSize = size;
+    gl_Position = projectionMatrix * at;
+  }`;
+const FLAT = VERTEX.replace(/shown = lit.*/, "shown = tint;"); // points without normals
+const FRAGMENT = `varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }`;
+
+function material(vertexShader, size = 1) {
+  return new ShaderMaterial({ vertexShader, fragmentShader: FRAGMENT, uniforms: { size: { value: size } }, side: DoubleSide });
+}
+
+// Values in millimetres, NaN where unknown; null where there are none.
+function decoded(sent, [low, high], bytes) {
+  const codes = new Uint16Array(bytes(sent));
+  if (!codes.length) return null;
+  const scale = (high - low) / (UNKNOWN - 1);
+  const values = new Float32Array(codes.length);
+  for (let k = 0; k < codes.length; k++) values[k] = codes[k] === UNKNOWN ? NaN : low + scale * codes[k];
+  return values;
+}
+
+function millimetres(positions, bytes) {
+  const at = new Float32Array(new Int16Array(bytes(positions)));
+  for (let k = 0; k < at.length; k++) at[k] *= STEP;
+  return at;
+}
+
+class Drawn {
+  paint({ palette, limits: [low, high] }) {
+    const lut = new Uint8Array(palette);
+    const last = lut.length / 3 - 1;
+    const { values, own } = this;
+    const tint = this.geometry.getAttribute("tint");
+    for (let k = 0, at = 0; k < tint.count; k++, at += 3) {
+      let [from, source] = [at, own]; // of a vertex: its own colour, or that of its value
+      if (values) {
+        [from, source] = [0, GREY];
+        if (!Number.isNaN(values[k])) {
+          from = 3 * Math.round(last * Math.min(Math.max((values[k] - low) / (high - low), 0), 1));
+          source = lut;
+        }
+      } else if (!own) [from, source] = [0, SKIN];
+      tint.array[at] = source[from];
+      tint.array[at + 1] = source[from + 1];
+      tint.array[at + 2] = source[from + 2];
+    }
+    tint.needsUpdate = true;
+  }
+
+  dispose() {
+    this.geometry.dispose();
+    this.object.material.dispose();
+  }
+}
+
+export class Head extends Drawn {
+  constructor({ count, triangles, colours }, bytes) {
+    super();
+    this.own = colours ? new Uint8Array(bytes(colours)) : null;
+    this.geometry = new BufferGeometry();
+    this.triangles = new Uint32Array(bytes(triangles));
+    this.planes = new Float32Array((4 * this.triangles.length) / 3);
+    this.geometry.setIndex(new BufferAttribute(new Uint32Array(this.triangles), 1).setUsage(DynamicDrawUsage));
+    for (const name of ["position", "normal"])
+      this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(3 * count), 3));
+    this.geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(3 * count), 3, true));
+    this.object = new Mesh(this.geometry, material(VERTEX));
+    this.object.frustumCulled = false;
+  }
+
+  setShape({ positions, base, values, range }, bytes, factor) {
+    const at = millimetres(positions, bytes);
+    const from = base && factor !== 1 ? millimetres(base, bytes) : null;
+    if (from?.length === at.length) for (let k = 0; k < at.length; k++) at[k] = from[k] + factor * (at[k] - from[k]);
+    this.geometry.getAttribute("position").array.set(at);
+    this.geometry.getAttribute("position").needsUpdate = true;
+    this.values = decoded(values, range, bytes);
+    this.findPlanes(at);
+  }
+
+  // Of every triangle its normal, as long as it is large, and the normal's product with a corner; of every vertex the sum of
+  // its triangles' normals.
+  findPlanes(at) {
+    const { triangles, planes } = this;
+    const normal = this.geometry.getAttribute("normal");
+    const sums = normal.array.fill(0);
+    for (let t = 0, p = 0; t < triangles.length; t += 3, p += 4) {
+      const a = 3 * triangles[t];
+      const b = 3 * triangles[t + 1];
+      const c = 3 * triangles[t + 2];
+      const [ux, uy, uz] = [at[b] - at[a], at[b + 1] - at[a + 1], at[b + 2] - at[a + 2]];
+      const [vx, vy, vz] = [at[c] - at[a], at[c + 1] - at[a + 1], at[c + 2] - at[a + 2]];
+      const [x, y, z] = [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx];
+      planes[p] = x;
+      planes[p + 1] = y;
+      planes[p + 2] = z;
+      planes[p + 3] = x * at[a] + y * at[a + 1] + z * at[a + 2];
+      for (let corner = 0; corner < 3; corner++) {
+        const k = 3 * triangles[t + corner];
+        sums[k] += x;
+        sums[k + 1] += y;
+        sums[k + 2] += z;
+      }
+    }
+    normal.needsUpdate = true;
+  }
+
+  // Only what faces the camera is drawn, where WebGL runs on the processor and the time goes into triangles. (One then looks
+  // through the eyes and sees the page, not the inside of the skull.)
+  face({ x, y, z }) {
+    const { triangles, planes } = this;
+    const index = this.geometry.index.array;
+    let count = 0;
+    for (let t = 0, p = 0; t < triangles.length; t += 3, p += 4) {
+      if (planes[p] * x + planes[p + 1] * y + planes[p + 2] * z <= planes[p + 3]) continue;
+      index[count++] = triangles[t];
+      index[count++] = triangles[t + 1];
+      index[count++] = triangles[t + 2];
+    }
+    this.geometry.index.needsUpdate = true;
+    this.geometry.setDrawRange(0, count);
+  }
+}
+
+export class Cloud extends Drawn {
+  constructor() {
+    super();
+    this.geometry = new BufferGeometry();
+    this.object = new Points(this.geometry, material(VERTEX));
+    this.object.frustumCulled = false;
+  }
+
+  setPoints({ positions, normals, values, range, size }, bytes) {
+    const at = millimetres(positions, bytes);
+    const n = new Int8Array(bytes(normals));
+    if (this.geometry.getAttribute("position")?.array.length !== at.length) this.geometry.dispose();
+    this.geometry.setAttribute("position", new BufferAttribute(at, 3));
+    this.geometry.setAttribute("normal", new BufferAttribute(Float32Array.from(n.length ? n : at, (v) => v / 127), 3));
+    this.geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(at.length), 3, true));
+    const shader = n.length ? VERTEX : FLAT;
+    if (this.object.material.vertexShader !== shader) {
+      this.object.material.dispose();
+      this.object.material = material(shader);
+    }
+    this.object.material.uniforms.size.value = size * Math.min(window.devicePixelRatio, 2);
+    this.values = decoded(values, range, bytes);
+  }
+}
+
+export { Vector3 };
