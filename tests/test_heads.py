@@ -8,18 +8,18 @@ import re
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-ASSETS, WEB = CHECKOUT / "adaptiveface" / "assets", CHECKOUT / "web"
+ASSETS, SOURCES = CHECKOUT / "adaptiveface" / "assets", CHECKOUT / "js"
 
 
 def test_the_bundle_was_built_from_these_sources():
-    """Else: ``npm ci && npm run build`` in ``web``."""
+    """Else: ``npm ci && npm run build`` in ``js``."""
     digest = hashlib.sha256()
-    for path in (WEB / "package.json", *sorted((WEB / "src").glob("*.js"))):
+    for path in (SOURCES / "package.json", *sorted((SOURCES / "src").glob("*.js"))):
         digest.update(path.read_bytes().replace(b"\r\n", b"\n"))
     banner = (ASSETS / "heads.js").read_text(encoding="utf-8").splitlines()[0]
     assert digest.hexdigest() in banner
-    wanted = json.loads((WEB / "package.json").read_text())["dependencies"]["three"]
-    locked = json.loads((WEB / "package-lock.json").read_text())["packages"]["node_modules/three"]["version"]
+    wanted = json.loads((SOURCES / "package.json").read_text())["dependencies"]["three"]
+    locked = json.loads((SOURCES / "package-lock.json").read_text())["packages"]["node_modules/three"]["version"]
     assert re.search(r"three.js (\S+), MIT", banner)[1] == wanted == locked
 
 

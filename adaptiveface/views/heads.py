@@ -18,7 +18,7 @@ UNKNOWN = 65535
 
 
 class Heads(anywidget.AnyWidget):
-    """Panes of heads and points on one canvas; sources in ``web/src``. Turning and zooming stay in the browser.
+    """Panes of heads and points on one canvas; sources in ``js/src``. Turning and zooming stay in the browser.
 
     ``geometry``: of every pane, see :func:`geometry`; ``frame``: what every pane shows, see :func:`shape` and
     :func:`points`. ``grid`` (columns, rows); ``pane`` (width, height) pixels; ``limits``, ``label``, ``palette`` (RGB bytes)

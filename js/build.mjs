@@ -19,6 +19,6 @@ await build({
   format: "esm",
   target: "es2022",
   legalComments: "inline",
-  banner: { js: `// three.js ${three}, MIT, see LICENSE-three.txt. Built by web/build.mjs from sources ${digest.digest("hex")}` },
+  banner: { js: `// three.js ${three}, MIT, see LICENSE-three.txt. Built by js/build.mjs from sources ${digest.digest("hex")}` },
 });
 copyFileSync("node_modules/three/LICENSE", assets + "LICENSE-three.txt");
