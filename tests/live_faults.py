@@ -9,14 +9,14 @@ import numpy as np
 from adaptiveface.camera import Camera
 from adaptiveface.errors import EndOfRecording
 from adaptiveface.frame import Features2D, RgbdFrame
-from adaptiveface.sensors.live import RawFrame
+from adaptiveface.sensors.driver import Driver, RawFrame
 from adaptiveface.sensors.playback import raw_frame
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 15.5, 11.5)
 STALL = None
 
 
-class ScriptedDriver:
+class ScriptedDriver(Driver):
     """Delivers ``steps`` in order: a RawFrame, ``STALL`` (no frame within the timeout), or an exception to raise.
 
     A new driver on the same list goes on where the last one stopped, as a sensor does that was plugged in again.

@@ -11,7 +11,7 @@ import numpy as np
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
 
 from adaptiveface.parameters import Parameters
-from adaptiveface.sensors.live import RawFrame
+from adaptiveface.sensors.driver import Driver, RawFrame
 
 #: A coarse head, made in a second.
 QUICK = Parameters().set(
@@ -25,7 +25,7 @@ QUICK = Parameters().set(
 )
 
 
-class HeadDriver:
+class HeadDriver(Driver):
     """A live camera on a talking head, 30 frames a second: the given frames forth and back, with their features."""
 
     name, live, has_features, depth_scale, fps = "test head", True, True, 10_000.0, 30.0

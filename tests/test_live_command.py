@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from adaptiveface.cli import main
 from adaptiveface.errors import RecordingError, SensorDisconnectedError
 from adaptiveface.live import recorder as recorder_module
 from adaptiveface.result import Result
-from adaptiveface.sensors import Recording, catalogue
+from adaptiveface.sensors import Recording, kinds
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.synthetic.sensor import SyntheticSensor
 
@@ -92,7 +93,8 @@ def test_the_notebook_is_told_sensor_and_actor(take, tmp_path, monkeypatch):
 
 def play(monkeypatch, steps, **options):
     """What ``scripted`` opens from now on."""
-    monkeypatch.setitem(catalogue._KINDS, "scripted", lambda _: LiveSensor(lambda: ScriptedDriver(steps), **options))
+    scripted = SimpleNamespace(open=lambda _: LiveSensor(lambda: ScriptedDriver(steps), **options))
+    monkeypatch.setitem(kinds.KINDS, "scripted", scripted)
 
 
 def steps_of(take):
@@ -124,7 +126,7 @@ def test_a_recording_that_is_all_scan_says_so_and_keeps_the_actor(tmp_path, monk
 def test_a_sensor_without_depth_is_not_recorded(take, tmp_path, monkeypatch, capsys):
     sensor = LiveSensor(lambda: ScriptedDriver(steps_of(take)))
     sensor.colour_only = True
-    monkeypatch.setitem(catalogue._KINDS, "scripted", lambda _: sensor)
+    monkeypatch.setitem(kinds.KINDS, "scripted", SimpleNamespace(open=lambda _: sensor))
     assert live("scripted", "--headless", "--actor", take[1], "--record", tmp_path / "rec") == 2
     assert "no depth, and a recording is made of depth" in capsys.readouterr().err and not (tmp_path / "rec").exists()
 

@@ -7,6 +7,7 @@ picture aligned to it, by :mod:`adaptiveface.sensors.registration` with the cali
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -20,7 +21,8 @@ from ..errors import (
     SensorError,
     SensorNotFoundError,
 )
-from .live import RawFrame
+from .driver import Driver, RawFrame
+from .file_player import FilePlayer
 from .registration import Lens, Registration
 
 _FPS = (5.0, 15.0, 30.0)
@@ -53,10 +55,11 @@ def connected_cameras() -> list[tuple[str, str]]:
     return [(str(index), "Azure Kinect") for index in range(pyk4a_module().connected_device_count())]
 
 
-class AzureDriver:
+class AzureDriver(Driver):
     """The camera with an ``index``; or a recording at ``path``, played as fast as it is read."""
 
     has_features, fps, depth_scale = False, 30.0, 1000.0
+    description = "Azure Kinect"
 
     def __init__(self, index: int = 0, path: Path | None = None) -> None:
         self._k4a = pyk4a_module()
@@ -64,6 +67,20 @@ class AzureDriver:
         self.live = path is None
         self.name = path.stem if path else f"Azure Kinect {index}"
         self._device, self._start_time, self._sequence = None, None, -1
+
+    @classmethod
+    def named(cls, argument: str) -> Callable[[], Driver]:
+        """The camera of a number, or the player of a recording."""
+        if argument.isascii() and argument.isdecimal() and len(argument) < 4 or not argument:
+            return lambda: cls(int(argument or 0))
+        if not (argument.lower().endswith(".mkv") and Path(argument).is_file()):
+            raise SensorError(f"azure:{argument}: neither the number of a camera nor a recording (.mkv)")
+        return lambda: FilePlayer(Path(argument))
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """See :func:`connected_cameras`."""
+        return connected_cameras()
 
     def open(self) -> None:
         """Start streaming; raises :class:`SensorNotFoundError`, :class:`SensorError`, :class:`FileFormatError`."""

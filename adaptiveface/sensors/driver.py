@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from ..camera import Camera
 from ..frame import Features2D, RgbdFrame
+
+#: Longest a thread waits for a frame, s: closing has to stay responsive.
+POLL_SECONDS = 0.1
 
 
 @dataclass(frozen=True)
@@ -52,29 +56,50 @@ class RawFrame:
     features: Features2D | None = None
 
 
-class Driver(Protocol):
-    """One vendor's library behind one small interface; every method is called from the same thread.
+class Driver(ABC):
+    """One vendor's library behind one small interface; one thread calls :meth:`open`, :meth:`grab` and :meth:`close`.
 
-    ``name`` for titles; ``live``: frames that nobody reads are replaced by newer ones (False for files, which wait);
-    ``has_features``: frames bring 2D features; ``depth_scale``: units per metre in which depth is measured; ``fps``.
-    Optional: ``colour_only`` True where there is no depth camera, so that every depth is 0.
+    A subclass sets the fields that differ from these defaults, on the class or before :meth:`open` returns.
     """
 
-    name: str
-    live: bool
-    has_features: bool
-    depth_scale: float
-    fps: float
+    name: str = "sensor"  #: for titles
+    live: bool = True  #: newer frames replace those that nobody reads; a file waits instead
+    reopens: bool = True  #: the sensor can be opened again after it was unplugged
+    has_features: bool = False  #: frames bring 2D features
+    colour_only: bool = False  #: there is no depth camera: every depth is 0
+    depth_scale: float = 1000.0  #: units per metre in which depth is measured
+    fps: float = 30.0
+    broken: Sequence[str] = ()  #: a recording's: the reason of each frame that cannot be used
 
+    description: str = ""  #: for the list of sensors
+    unconnected: str = "not connected"  #: the state in that list where :meth:`connected` returns nothing
+    open_timeout: float = 30.0  #: longest that :meth:`open` may take, s
+
+    @classmethod
+    def named(cls, argument: str) -> Callable[[], Driver]:
+        """What makes the driver of ``KIND:argument``, again for each reconnection.
+
+        Raises :class:`ParameterError` or :class:`SensorError` where the argument names no device.
+        """
+        return lambda: cls(argument)  # type: ignore[call-arg]  # each subclass takes its own
+
+    @classmethod
+    def connected(cls) -> Sequence[tuple[str, ...]]:
+        """(identifier, name) of every connected device, or (identifier, name, state); may raise anything."""
+        return []
+
+    @abstractmethod
     def open(self) -> None:
         """Start streaming. Raises :class:`SensorError`."""
 
+    @abstractmethod
     def grab(self, timeout: float) -> RawFrame | None:
         """The next frame, or None when there is none within ``timeout`` seconds.
 
         Raises :class:`SensorDisconnectedError` or :class:`EndOfRecording`.
         """
 
+    @abstractmethod
     def close(self) -> None:
         """Stop and release everything; also after a failed :meth:`open`."""
 

@@ -23,8 +23,7 @@ import numpy as np
 from .. import errors
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, SensorError
-from .driver import Driver, RawFrame
-from .live import POLL_SECONDS
+from .driver import POLL_SECONDS, Driver, RawFrame
 from .matroska import is_plain_video
 
 #: By suffix: the module and the class of the driver whose ``path`` is such a file (it knows its ``camera`` once it is open),
@@ -55,10 +54,10 @@ def plays(path: Path) -> bool:
     return suffix in PLAYERS and path.is_file() and not (suffix == ".mkv" and is_plain_video(path))
 
 
-class FilePlayer:
+class FilePlayer(Driver):
     """Plays the recording at ``path`` as the driver of its suffix does, frame by frame as it is read."""
 
-    live, has_features = False, False
+    live, reopens = False, False
 
     def __init__(self, path: Path) -> None:
         self.path, self.name = Path(path), Path(path).stem

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import DriverMissingError, ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
-from .live import RawFrame
+from .driver import Driver, RawFrame
 from .pairing import Pairing
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
@@ -124,7 +124,7 @@ def connected_kinects() -> list[tuple[str, str]]:
         library.shutdown(context)
 
 
-class Kinect1Driver:
+class Kinect1Driver(Driver):
     """One Kinect v1, by its number or the first one.
 
     ``colour_camera``: calibration of depth registered to colour; ``depth_camera``: of the depth camera's own disparity.
@@ -135,6 +135,7 @@ class Kinect1Driver:
     colour_camera = Camera(WIDTH, HEIGHT, 525.0, 525.0, 319.5, 239.5)
     depth_camera = Camera(WIDTH, HEIGHT, 580.0, 580.0, 319.5, 239.5)
     withholds_unaligned = True  #: pictures that are not aligned to the depth are not handed over
+    description = "Kinect v1 (Xbox 360)"
 
     def __init__(self, index: str = "") -> None:
         if index and not (index.isascii() and index.isdecimal() and len(index) < 4):
@@ -142,6 +143,11 @@ class Kinect1Driver:
         self._library = _Library()
         self.index, self.name = int(index or 0), f"Kinect v1 {index}".strip()
         self._context = self._device = None
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """See :func:`connected_kinects`."""
+        return connected_kinects()
 
     def open(self) -> None:
         """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
-from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
-from .live import RawFrame
+from ..errors import DriverMissingError, ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from .driver import Driver, RawFrame
 from .registration import Lens, Registration
 
 WIDTH, HEIGHT = 512, 424
@@ -44,15 +45,29 @@ def connected_sensors() -> list[tuple[str, str]]:
     return []
 
 
-class Kinect2Driver:
+class Kinect2Driver(Driver):
     """The one sensor that the SDK supports."""
 
     live, has_features, fps, depth_scale, name = True, False, 30.0, 1000.0, "Kinect v2"
+    description = "Kinect v2"
+    unconnected = "known when it is opened"
 
     def __init__(self, library=None) -> None:
         self._library = library or kinect_module()
         self._sensor = self._registration = None
         self._sequence = 0
+
+    @classmethod
+    def named(cls, argument: str) -> Callable[[], Driver]:
+        """The one sensor; raises :class:`ParameterError` for a number."""
+        if argument:
+            raise ParameterError(f"kinect2:{argument}: the SDK supports one sensor, which has no number; use 'kinect2'")
+        return cls
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """See :func:`connected_sensors`."""
+        return connected_sensors()
 
     def open(self) -> None:
         """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""

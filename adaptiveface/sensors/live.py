@@ -19,11 +19,9 @@ from ..errors import (
     SensorError,
     SensorTimeoutError,
 )
-from .driver import Driver, LiveFrame, RawFrame, live_frame, usable
+from .driver import POLL_SECONDS, Driver, LiveFrame, RawFrame, live_frame, usable
 from .orientation import mirrored
 
-#: Longest a driver may wait for a frame, s: closing has to stay responsive.
-POLL_SECONDS = 0.1
 #: Longest :meth:`LiveSensor.close` waits for the vendor's library, s. What takes longer ends in the background.
 CLOSE_SECONDS = 0.4
 #: Pause between two attempts to open a sensor again, s.
@@ -38,7 +36,8 @@ class LiveSensor:
     """Frames of one sensor; a context manager, and an iterator until the end of the recording or :meth:`close`.
 
     ``make_driver`` returns a fresh driver, also for each reconnection; ``max_age`` s: an older frame is dropped rather
-    than handed out; ``reconnect``: open the sensor again after it was unplugged; ``open_timeout`` s. Raises the error
+    than handed out; ``reconnect``: open the sensor again after it was unplugged, where it can be;
+    ``open_timeout`` s, None: the driver's own. Raises the error
     with which the driver could not be opened.
     """
 
@@ -47,17 +46,19 @@ class LiveSensor:
         make_driver: Callable[[], Driver],
         max_age: float = 0.5,
         reconnect: bool = True,
-        open_timeout: float = 30.0,
+        open_timeout: float | None = None,
     ) -> None:
-        self._make_driver, self.max_age, self.reconnect = make_driver, max_age, reconnect
+        self._make_driver, self.max_age = make_driver, max_age
         self._driver = make_driver()
+        self.reconnect = reconnect and self._driver.reopens
+        open_timeout = self._driver.open_timeout if open_timeout is None else open_timeout
         self.name, self.live = self._driver.name, self._driver.live
         self.fps, self.depth_scale = self._driver.fps, self._driver.depth_scale
         self.has_features = self._driver.has_features
-        self.colour_only = getattr(self._driver, "colour_only", False)  #: there is no depth: a degraded mode
+        self.colour_only = self._driver.colour_only  #: there is no depth: a degraded mode
         self.dropped, self.discarded = 0, 0  #: never handed out; unusable, repeated or out of order
         self.superseded = 0  #: of the dropped ones: replaced by a newer frame or too old before anybody read them
-        self.broken: tuple[str, ...] | list[str] = getattr(self._driver, "broken", ())  #: a recording's: reason of each
+        self.broken = self._driver.broken  #: a recording's: reason of each
         self.mirrored = False  #: every frame is flipped left to right
         self._listeners: tuple[Callable[[LiveFrame], None], ...] = ()
         self._changed = threading.Condition()

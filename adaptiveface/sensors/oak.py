@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
-from .live import RawFrame
+from .driver import Driver, RawFrame
 
 WIDTH, HEIGHT, FPS = 640, 400, 30
 #: Depth and picture further apart than this are not one moment, ms.
@@ -36,15 +36,22 @@ def connected_cameras() -> list[tuple[str, str]]:
     return [(info.getDeviceId(), f"OAK {info.name}") for info in depthai_module().Device.getAllAvailableDevices()]
 
 
-class OakDriver:
+class OakDriver(Driver):
     """One camera, by its identifier or the first one."""
 
     live, has_features, fps, depth_scale = True, False, float(FPS), 1000.0
+    description = "Luxonis OAK-D"
+    open_timeout = 60.0  # the device boots
 
     def __init__(self, identifier: str = "") -> None:
         self._dai = depthai_module()
         self.identifier, self.name = identifier, f"OAK {identifier}".strip()
         self._pipeline = self._device = None
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """See :func:`connected_cameras`."""
+        return connected_cameras()
 
     def open(self) -> None:
         """Boot the device and start; raises :class:`SensorNotFoundError` or :class:`SensorError`."""

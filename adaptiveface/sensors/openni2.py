@@ -23,7 +23,7 @@ from ..errors import (
     SensorNotFoundError,
 )
 from . import openni2_library as oni
-from .live import RawFrame
+from .driver import Driver, RawFrame
 from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner
 from .pairing import Pairing
 
@@ -47,13 +47,14 @@ def connected_cameras() -> list[tuple[str, str]]:
     return library.devices()
 
 
-class OpenNI2Driver:
+class OpenNI2Driver(Driver):
     """One camera, by URI or number or the first one; or the recording at ``path``, played as fast as it is read.
 
     A damaged recording can crash the process: :class:`~adaptiveface.sensors.file_player.FilePlayer` has one to spare.
     """
 
     has_features = False
+    description = "PrimeSense Carmine, Asus Xtion and other OpenNI2 cameras"
 
     def __init__(self, which: str = "", path: Path | None = None) -> None:
         if len(which) > 255:
@@ -63,6 +64,11 @@ class OpenNI2Driver:
         self.name = path.stem if path else f"OpenNI2 {which}".strip()
         self.fps, self.depth_scale = float(FPS), 1000.0
         self._device = None
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """See :func:`connected_cameras`."""
+        return connected_cameras()
 
     @by_the_owner
     def open(self) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
-from .live import RawFrame
+from .driver import Driver, RawFrame
 from .registration import Lens, Registration
 
 #: A live stream that gives nothing for so many polls, while the camera is no longer listed, was unplugged.
@@ -40,15 +40,21 @@ def connected_cameras() -> list[tuple[str, str]]:
     return [(devices.get_device_serial_number_by_index(n), devices.get_device_name_by_index(n)) for n in numbers]
 
 
-class OrbbecDriver:
+class OrbbecDriver(Driver):
     """One camera, by serial number or the first one."""
 
     live, has_features, fps, depth_scale = True, False, 30.0, 1000.0
+    description = "Orbbec"
 
     def __init__(self, serial: str = "") -> None:
         self._ob = orbbec_module()
         self.serial, self.name = serial, f"Orbbec {serial}".strip()
         self._pipeline, self._silent = None, 0
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """See :func:`connected_cameras`."""
+        return connected_cameras()
 
     def open(self) -> None:
         """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""

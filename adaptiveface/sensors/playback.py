@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from ..errors import EndOfRecording, FrameError
+from ..errors import EndOfRecording, FrameError, ParameterError
 from ..frame import RgbdFrame
-from .live import RawFrame
+from ..synthetic.noise import DEPTH_SCALES
+from .driver import Driver, RawFrame
 
+NOISES = tuple(DEPTH_SCALES)
 #: The live synthetic performance: a neutral scan and expressions, rendered once and played forth and back.
 NEUTRAL_FRAMES, EXPRESSION_FRAMES = 20, 70
 #: Frames that wait in the synthetic sensor until it is polled, as in the vendors' libraries.
@@ -20,13 +22,13 @@ def raw_frame(frame: RgbdFrame, sequence: int, timestamp: float) -> RawFrame:
     return RawFrame(frame.depth, frame.camera, frame.colour, sequence, timestamp, frame.features)
 
 
-class PlaybackDriver:
+class PlaybackDriver(Driver):
     """Plays a source with numbered frames as fast as it is read; broken frames count as lost by the device.
 
     ``broken``: the reason of each.
     """
 
-    live = False
+    live, reopens = False, False
 
     def __init__(self, source) -> None:
         self.source, self.name = source, source.name
@@ -55,7 +57,7 @@ class PlaybackDriver:
         """Nothing to release."""
 
 
-class SyntheticDriver:
+class SyntheticDriver(Driver):
     """The synthetic sensor in real time: 30 frames a second with 2D features, for ever.
 
     The frames are rendered in :meth:`open` (some seconds) and then played forth and back, so that the head never jumps.
@@ -63,11 +65,26 @@ class SyntheticDriver:
     ``frames``: a list that keeps the rendered frames for the next driver; ``clock`` returns seconds.
     """
 
-    live, has_features, fps = True, True, 30.0
+    has_features, open_timeout, unconnected = True, 180.0, "ready"
+    description = "a synthetic performer at 30 frames a second, no hardware"
 
     def __init__(self, source, frames: list[RgbdFrame], clock: Callable[[], float] = time.perf_counter) -> None:
         self.source, self._frames, self._clock = source, frames, clock
         self.name, self.depth_scale = source.name, source.depth_scale
+
+    @classmethod
+    def named(cls, argument: str) -> Callable[[], Driver]:
+        """The performer of ``[SEED[:NOISE]]``; its frames are rendered once for all reconnections."""
+        seed, _, noise = argument.partition(":")
+        if seed and not (seed.isascii() and seed.isdecimal() and len(seed) <= 9):
+            raise ParameterError(f"synthetic:{argument}: the seed {seed!r} is not a whole number of at most 9 digits")
+        if noise and noise not in NOISES:
+            raise ParameterError(f"synthetic:{argument}: unknown noise {noise!r}; possible: {', '.join(NOISES)}")
+        from ..synthetic.sensor import SyntheticSensor
+
+        source = SyntheticSensor(int(seed or 0), noise or NOISES[0], NEUTRAL_FRAMES, EXPRESSION_FRAMES, repeats=1)
+        frames: list[RgbdFrame] = []
+        return lambda: cls(source, frames)
 
     def open(self) -> None:
         """Render the performance, unless an earlier driver did."""

@@ -5,6 +5,7 @@ Colour is aligned to depth by the SDK; where depth has no measurement the aligne
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ from ..errors import (
     DriverMissingError,
     EndOfRecording,
     FileFormatError,
+    ParameterError,
     SensorDisconnectedError,
     SensorError,
     SensorNotFoundError,
 )
-from .live import RawFrame
+from .driver import Driver, RawFrame
 
 #: Size and rate that every D400 camera has for both streams.
 WIDTH, HEIGHT, FPS = 640, 480, 30
@@ -44,13 +46,14 @@ def connected_cameras() -> list[tuple[str, str]]:
     return [tuple(device.get_info(field) for field in fields) for device in rs.context().query_devices()]
 
 
-class RealSenseDriver:
+class RealSenseDriver(Driver):
     """One camera, by serial number or the first one; or a recording at ``path``, played as fast as it is read.
 
     ``device``: an SDK device to use instead, e.g. a software device.
     """
 
     has_features, fps, depth_scale = False, float(FPS), 1000.0
+    description = "Intel RealSense"
 
     def __init__(self, serial: str = "", path: Path | None = None, device=None) -> None:
         self._rs = realsense_module()
@@ -58,6 +61,18 @@ class RealSenseDriver:
         self.live = path is None
         self.name = path.stem if path else f"RealSense {serial}".strip()
         self._pipeline = None
+
+    @classmethod
+    def named(cls, argument: str) -> Callable[[], Driver]:
+        """The camera with the serial number ``argument``, or the first one."""
+        if len(argument) > 32:
+            raise ParameterError(f"realsense:{argument[:32]}...: a serial number is shorter")
+        return lambda: cls(argument)
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """See :func:`connected_cameras`."""
+        return connected_cameras()
 
     def open(self) -> None:
         """Start both streams; raises :class:`SensorNotFoundError`, :class:`FileFormatError`, :class:`SensorError`."""

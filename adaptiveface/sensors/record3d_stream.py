@@ -15,7 +15,7 @@ from PIL import Image
 
 from ..camera import Camera
 from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
-from .live import RawFrame
+from .driver import Driver, RawFrame
 from .record3d import scaled_camera
 
 #: Closed streams. The library's thread may run on after disconnecting, and freeing its stream then ends the process.
@@ -39,10 +39,11 @@ def connected_phones() -> list[str]:
     return [device.udid for device in record3d_stream_class().get_connected_devices()]
 
 
-class Record3DDriver:
+class Record3DDriver(Driver):
     """One iPhone, by its identifier or the first one."""
 
     live, has_features, fps, depth_scale = True, False, 30.0, 10_000.0
+    description = "iPhone with the app Record3D, by USB"
 
     def __init__(self, identifier: str = "") -> None:
         self._stream_class = record3d_stream_class()
@@ -51,6 +52,11 @@ class Record3DDriver:
         self._newest: RawFrame | None = None
         self._failure: Exception | None = None
         self._stopped, self._count, self._stream = False, 0, None
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str]]:
+        """(identifier, description) of every connected iPhone."""
+        return [(phone, cls.description) for phone in connected_phones()]
 
     def open(self) -> None:
         """Connect; raises :class:`SensorNotFoundError` or :class:`SensorError`."""

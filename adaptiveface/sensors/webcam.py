@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -18,7 +19,7 @@ import numpy as np
 
 from ..errors import ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
 from .capture_device import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, as_rgb, camera_of_view, quiet
-from .live import RawFrame
+from .driver import Driver, RawFrame
 from .mjpeg import MjpegStream, open_mjpeg
 from .video_probe import MAX_BYTES, MAX_PIXELS, too_large
 
@@ -30,6 +31,8 @@ MOST_FAILURES, RETRY_SECONDS = 5, 0.02
 MOST_INDICES = 4
 #: Longest wait for a network camera, ms: to answer at all, and for a picture.
 OPEN_MS, READ_MS = 5000, 2000
+#: What the list of sensors says about every one.
+NOTE = "colour only: no depth, degraded"
 
 
 @dataclass(frozen=True)
@@ -76,15 +79,27 @@ def _degrees(text: str, value: str) -> float:
     return degrees
 
 
-class WebcamDriver:
+class WebcamDriver(Driver):
     """One colour camera, asked for ``size`` (width, height) px at 30 frames a second; it may answer with another."""
 
     live, has_features, colour_only, depth_scale = True, False, True, 10_000.0
+    description = f"colour camera ({NOTE})"
 
     def __init__(self, options: WebcamOptions = WebcamOptions(), size: tuple[int, int] = (640, 480)) -> None:
         self.options, self.size, self.fps = options, size, 30.0
         self.name = f"webcam {_label(options.device)}, colour only"
         self._capture: cv2.VideoCapture | MjpegStream | None = None
+
+    @classmethod
+    def named(cls, argument: str) -> Callable[[], Driver]:
+        """The camera of ``[INDEX|http://...][,fov=DEGREES][,mirrored]``."""
+        options = WebcamOptions.parse(argument)
+        return lambda: cls(options)
+
+    @classmethod
+    def connected(cls) -> list[tuple[str, str, str]]:
+        """(index, name, state) of every colour camera."""
+        return [(index, f"{name} ({NOTE})", state) for index, name, state in connected_webcams()]
 
     def open(self) -> None:
         """Start the camera; raises :class:`SensorNotFoundError` or :class:`SensorError` (busy, not allowed)."""

@@ -1,0 +1,95 @@
+"""A numbered sequence of frames, and the one that a text names."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from ..camera import Camera
+from ..errors import FileFormatError, ParameterError
+from ..frame import RgbdFrame
+from .file_player import plays
+from .orientation import OrientedSource, split_mirrored
+from .playback import NOISES
+from .recording import Recording
+from .video_file import VIDEO_SUFFIXES, VideoFile, is_video
+
+_POSSIBLE = (
+    "possible sources: a recording folder (with intrinsic.json, depth/, color/), a Record3D file (.r3d), "
+    f"'synthetic' or 'synthetic:SEED[:NOISE][@take.csv]' (NOISE: {', '.join(NOISES)}; a Live Link Face CSV to perform), "
+    f"a video, colour only ({', '.join(VIDEO_SUFFIXES)}); with ',mirrored' at the end pictures are flipped"
+)
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """A numbered sequence of RGB-D frames from one calibrated camera.
+
+    ``camera``: its intrinsics; ``name``: for titles and file names; ``len(source)`` frames, broken ones included;
+    ``read(index)`` returns frame ``index`` or raises :class:`adaptiveface.errors.FrameError` for one that cannot be
+    used. A source whose frames carry 2D features says so with ``has_features = True``; for any other source the
+    detector runs on the colour images. A source without a depth camera says ``colour_only = True``: it is tracked in
+    the degraded mode of ``tracking/colour_tracker.py``, which nothing else switches on.
+    """
+
+    camera: Camera
+    name: str
+
+    def __len__(self) -> int:
+        """Number of frames."""
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame ``index`` (0-based)."""
+
+
+def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
+    """The source named by ``text``: a recording folder, an .r3d file, a video, ``synthetic[:SEED[:NOISE]][@take.csv]``.
+
+    ``,mirrored`` at the end of any of them flips its frames: recordings as in a mirror, as selfie videos are.
+    ``field_of_view`` of a video, degrees across the longer side; None: see :class:`.video_file.VideoFile`. Raises
+    :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
+    """
+    text, flipped = split_mirrored(text)
+    source = _open(text, field_of_view)
+    return OrientedSource(source, mirrored=True) if flipped else source
+
+
+def _open(text: str, field_of_view: float | None) -> FrameSource:
+    if field_of_view is not None and not is_video(text) and Path(text).exists():
+        raise ParameterError(f"{text}: a field of view can be given for a video only; this source has its calibration")
+    if Path(text).is_dir():
+        return Recording(text)
+    if text == "synthetic" or text.startswith("synthetic:"):
+        return _synthetic(text)
+    if text.lower().endswith(".r3d") and Path(text).is_file():
+        from .record3d import R3dRecording
+
+        return R3dRecording(text)
+    if plays(Path(text)):
+        folder = Path(text).with_suffix("")
+        convert = shlex.join(["adaptiveface", "convert", text, "--out", str(folder)])
+        raise FileFormatError(f"{text}: plays from start to end only; first: {convert}; then use {folder}")
+    if text.lower().endswith(".csv") and Path(text).is_file():
+        export = shlex.join(["adaptiveface", "export", text, "--character", "hag"])
+        raise FileFormatError(f"{text}: a take of curves has no pictures to track; it drives characters: {export}")
+    if is_video(text):
+        return VideoFile(text, field_of_view)
+    if Path(text).exists():
+        raise FileFormatError(f"{text}: not a folder; {_POSSIBLE}")
+    raise FileFormatError(f"{text}: no such recording; {_POSSIBLE}")
+
+
+def _synthetic(text: str) -> FrameSource:
+    from ..synthetic.sensor import SyntheticSensor
+    from ..synthetic.take import read_take
+
+    performer, at, take = text.partition(":")[2].partition("@")
+    seed, _, noise = performer.partition(":")
+    if seed and not (seed.isdecimal() and len(seed) <= 9):
+        raise ParameterError(f"{text}: the seed {seed!r} is not a whole number of at most 9 digits; {_POSSIBLE}")
+    if noise and noise not in NOISES:
+        raise ParameterError(f"{text}: unknown noise {noise!r}; {_POSSIBLE}")
+    if at and not take:
+        raise ParameterError(f"{text}: the name of a Live Link Face CSV is expected after the @; {_POSSIBLE}")
+    return SyntheticSensor(seed=int(seed or 0), noise=noise or NOISES[0], take=read_take(take) if at else None)
