@@ -6,6 +6,8 @@ direction from the ball's centre to that point is the gaze. Tracking has no part
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .actor import Actor
@@ -140,3 +142,14 @@ class GazeTrack:
             return {}
         gaze, known = zip(*self._kept, strict=True)
         return {"gaze": np.array(gaze, np.float32), "gaze_known": np.array(known)}
+
+    def onto(self, result):
+        """The :class:`~adaptiveface.result.Result` with the gaze of its frames; as it is where no iris was seen.
+
+        An interruption may have come between a frame of the result and its gaze: then the last gaze is held.
+        """
+        arrays, count = self.arrays(), len(result)
+        if not arrays or not count:
+            return result
+        last = np.minimum(np.arange(count), len(arrays["gaze"]) - 1)
+        return replace(result, **{name: array[last] for name, array in arrays.items()})

@@ -217,25 +217,17 @@ def track_source(
                     on_frame(tracked, frame)
     except KeyboardInterrupt as interruption:
         builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
-        raise TrackingInterrupted(_finished(builder, tracker, gaze)) from interruption
+        raise TrackingInterrupted(gaze.onto(builder.finish(tracker.model.correctives))) from interruption
     if len(reader.skipped) == len(source):
         raise reader.fail("no frame can be used")
     watch.judge()
     builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
-    result = _finished(builder, tracker, gaze)
+    result = gaze.onto(builder.finish(tracker.model.correctives))
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")
     if note := offset.note(source.name):
         _log.warning("%s", note)
     return result
-
-
-def _finished(builder: ResultBuilder, tracker, gaze: GazeTrack) -> Result:
-    """The result, with the gaze of its frames; an interruption may have come between the two."""
-    result = builder.finish(tracker.model.correctives)
-    arrays = {name: array[: len(result)] for name, array in gaze.arrays().items()}
-    whole = all(len(array) == len(result) for array in arrays.values())
-    return dataclasses.replace(result, **arrays) if whole else result
 
 
 def track_to_file(

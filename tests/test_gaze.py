@@ -147,3 +147,30 @@ def test_a_frame_gives_its_gaze(scene):
     np.testing.assert_allclose(GazeTrack(actor).see(tracked, frame), gaze, atol=1e-6)
     lost = SimpleNamespace(tracked=False)
     np.testing.assert_array_equal(GazeTrack(actor).see(lost, frame), 0)
+
+
+def test_results_take_it_even_where_the_last_frame_was_interrupted(scene):
+    actor, result = scene
+    track = GazeTrack(actor)
+    assert track.onto(result) is result
+    for _ in range(len(result) - 1):
+        track.add(np.full((2, 2), 0.1))
+    whole = track.onto(result)
+    assert whole.gaze.shape == (len(result), 2, 2) and whole.gaze[-1] == pytest.approx(0.1)
+
+
+def test_a_stream_looks_where_the_irises_do(scene, monkeypatch):
+    from adaptiveface.export.stream import Sender, Streamer
+
+    sent = []
+    monkeypatch.setattr(Sender, "send", lambda self, state: sent.append(state))
+    actor, pose = scene[0], head_pose()
+    gaze = np.array([[0.3, -0.1], [0.3, -0.1]])
+    frame = RgbdFrame(np.zeros((480, 640), np.float32), CAMERA, features=seen(actor, pose, gaze))
+    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, rigid=pose, timestamp=0.0, coefficients=np.zeros(23))
+    streamer = Streamer(actor)
+    streamer.send(tracked)
+    streamer.send(tracked, frame)
+    assert sent[0].eyes is None
+    np.testing.assert_allclose(sent[1].eyes, eyes_of_gaze(gaze), atol=1e-6)
+    assert sent[1].curves[ARKIT_NAMES.index("eyeLookOutLeft")] == pytest.approx(0.3 / 0.605, abs=1e-6)

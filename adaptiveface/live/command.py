@@ -12,6 +12,7 @@ from pathlib import Path
 from ..actor import Actor
 from ..errors import ParameterError, TrackingError
 from ..files import check_distinct, check_new_folder, check_output
+from ..gaze import GazeTrack
 from ..interrupt import CtrlC, Terminated
 from ..livelink.receiver import is_livelink
 from ..parameters import Parameters
@@ -80,6 +81,7 @@ class _Headless:
         self._check_outputs()
         self._given = Actor.load(args.actor) if args.actor else None
         self._builder: ResultBuilder | None = None
+        self._gaze: GazeTrack | None = None
         self._spoken: str | None = None  # the last of the scan's instructions
         self._building = False
         self._recorder: LiveRecorder | None = None
@@ -172,8 +174,14 @@ class _Headless:
             builder = ResultBuilder(
                 run.actor, self.parameters, FIRST_RESULTS, colour_only=run.colour_only, folder=unfinished_folder(self.args.out)
             )
-            run.on_result(lambda result: builder.add(result.tracked))
-            self._builder = builder
+            gaze = GazeTrack(run.actor)
+
+            def keep(live) -> None:
+                builder.add(live.tracked)
+                gaze.see(live.tracked, live.frame)
+
+            run.on_result(keep)
+            self._builder, self._gaze = builder, gaze
         self._stream(run)
 
     # ---- tracking --------------------------------------------------------------------------------------------------
@@ -200,7 +208,7 @@ class _Headless:
             return
         summary = ""
         if self._builder.done:
-            result = self._builder.finish(session.model.correctives)
+            result = self._gaze.onto(self._builder.finish(session.model.correctives))
             result.save(self.args.out)
             summary = result.summary()
             del result  # it holds the files that are discarded
@@ -242,7 +250,7 @@ class _Headless:
             **self._destinations,
         )
         print("\n".join(said(self._destinations)))
-        run.on_result(lambda result: streamer.send(result.tracked))
+        run.on_result(lambda result: streamer.send(result.tracked, result.frame))
 
 
 def run_live_stream(args: argparse.Namespace, parameters: Parameters) -> int:
