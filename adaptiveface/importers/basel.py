@@ -91,12 +91,12 @@ def _read(reader: _Reader, path: Path, identity_modes: int, expression_modes: in
     mean = mean + _vector(reader, path, "expression/model/mean", length)
     triangles = reader.read("shape/representer/cells", "iu", 2).astype(int)
     triangles = triangles.T if triangles.shape[0] == 3 else triangles
-    bases = [
+    identity, expression = (
         _basis(reader, path, f"{part}/model", length, modes)
         for part, modes in (("shape", identity_modes), ("expression", expression_modes))
-    ]
-    names = tuple(f"pca{k:03d}" for k in range(len(bases[1])))
-    return ForeignModel(path, mean.reshape(-1, 3), triangles, *bases, names, units=False)
+    )
+    names = tuple(f"pca{k:03d}" for k in range(len(expression)))
+    return ForeignModel(path, mean.reshape(-1, 3), triangles, identity, expression, names, units=False)
 
 
 def _vector(reader: _Reader, path: Path, name: str, length: int) -> np.ndarray:

@@ -61,7 +61,7 @@ def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_
 
 def _numbered(folder: Path) -> list[Path]:
     """identity000.obj, identity001.obj, ... up to the first gap."""
-    found = []
+    found: list[Path] = []
     while (path := folder / f"identity{len(found):03d}.obj").is_file():
         found.append(path)
     return found

@@ -108,7 +108,8 @@ def read_take(path: str | os.PathLike) -> LiveLinkTake:
     last = present[np.maximum(np.searchsorted(present, np.arange(len(rows)), side="right") - 1, 0)]
     values = np.stack([rows[k] for k in last])
     absent = tuple(name for name in _VALUES if name not in columns)
-    return LiveLinkTake(to_seconds(times), *np.split(values, [52, 55], axis=1), np.array(tracked), absent)
+    curves, head, eyes = np.split(values, [52, 55], axis=1)
+    return LiveLinkTake(to_seconds(times), curves, head, eyes, np.array(tracked), absent)
 
 
 def _columns(path, words: list[str]) -> dict[str, int]:

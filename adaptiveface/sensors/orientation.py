@@ -6,14 +6,13 @@ Colour, depth, calibration and features change together, so that the frame stays
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from ..camera import Camera
-from ..errors import FrameError
 from ..frame import FEATURE_IDS, Features2D, RgbdFrame
+from .numbered import NumberedFrames
 
 #: What ends the name of a source whose pictures are mirrored, as selfie videos are.
 MIRRORED = ",mirrored"
@@ -78,7 +77,7 @@ def turned_camera(camera: Camera, quarters: int) -> Camera:
     return camera
 
 
-class OrientedSource:
+class OrientedSource(NumberedFrames):
     """A source with numbered frames, each mirrored and then turned anticlockwise by ``quarters`` of a full turn.
 
     Everything else is the source's own, but for its ground truth and its path: what lies there is the other way round.
@@ -95,13 +94,6 @@ class OrientedSource:
 
     def __len__(self) -> int:
         return len(self._source)
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        for index in range(len(self)):
-            try:
-                yield self.read(index)
-            except FrameError:
-                continue
 
     def read(self, index: int) -> RgbdFrame:
         """Frame ``index`` the right way round; raises what the source raises."""

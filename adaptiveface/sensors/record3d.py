@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from ..frame import RgbdFrame
 from ..timing import FrameTimes, frame_times
 from .intrinsics import camera_of, focal_and_centre, rate_of
 from .lzfse_stream import decompress, lzfse_module
+from .numbered import NumberedFrames
 from .recording import DEPTH_RANGE_MM
 
 #: 80,000 frames, which are 22 minutes at 60 frames a second.
@@ -35,7 +35,7 @@ _MAX_FILE_BYTES, _MAX_IMAGE_BYTES, _MAX_SIDE = 1 << 40, 64 << 20, 8192
 _MAX_DEPTH_SIDE = 2048
 
 
-class R3dRecording:
+class R3dRecording(NumberedFrames):
     """A Record3D recording, read frame by frame: ``camera`` of the first frame, ``fps``, ``name``, ``timestamps`` (len,) s.
 
     ``notes``: what of the times was converted or repaired. Each frame carries its own camera where the file has one per
@@ -77,13 +77,6 @@ class R3dRecording:
 
     def __len__(self) -> int:
         return len(self._frame_numbers)
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        for index in range(len(self)):
-            try:
-                yield self.read(index)
-            except FrameError:
-                continue
 
     def read(self, index: int) -> RgbdFrame:
         """Frame ``index``: depth (dh, dw) float32 mm, colour scaled to it; raises :class:`FrameError`, IndexError."""

@@ -15,7 +15,6 @@ opening, what is wrong with one frame raises :class:`FrameError` on reading it.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from ..files import GrowingTable, replacing
 from ..frame import RgbdFrame
 from .images import read_colour, read_depth, write_image
 from .intrinsics import check_rate_and_scale, intrinsics_json, read_intrinsics
+from .numbered import NumberedFrames
 from .tables import (
     CAMERA_COLUMNS,
     FEATURE_COLUMNS,
@@ -42,7 +42,7 @@ from .tables import (
 DEPTH_RANGE_MM = (100.0, 10_000.0)
 
 
-class Recording:
+class Recording(NumberedFrames):
     """A recorded performance on disk, read frame by frame.
 
     ``camera`` :class:`Camera`, which a frame replaces by its own where intrinsics.csv has one; ``fps``; ``depth_scale``
@@ -106,13 +106,6 @@ class Recording:
             timestamp=float(self.timestamps[index]),
             features=self._features.get(number) if self._features is not None else None,
         )
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        for index in range(self._length):
-            try:
-                yield self.read(index)
-            except FrameError:
-                continue
 
     def read_colour(self, index: int) -> np.ndarray | None:
         """The colour (H, W, 3) uint8 RGB of frame ``index`` alone, None where there is none; raises as :meth:`read`."""
