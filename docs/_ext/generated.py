@@ -5,6 +5,8 @@ A Sphinx extension too: it turns the plain-text docstrings into valid reStructur
 
 from __future__ import annotations
 
+import ast
+import importlib.util
 import json
 import pkgutil
 import re
@@ -83,7 +85,8 @@ def public_modules() -> list[str]:
 def module_page(name: str) -> str:
     """The page of one module."""
     directive = f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n   :show-inheritance:\n"
-    return f"# {name}\n\n```{{eval-rst}}\n{directive}```\n"
+    # Not in the sidebar: with every module in it, every page would have to draw some 300 entries.
+    return f"---\norphan: true\n---\n\n# {name}\n\n```{{eval-rst}}\n{directive}```\n"
 
 
 def api_index() -> str:
@@ -95,8 +98,15 @@ def api_index() -> str:
         groups.setdefault(parts[1] if packaged else "adaptiveface", []).append(name)
     lines = ["# Reference", "", "From the docstrings. Shapes, units and sources in the paper are given there.", ""]
     for group, names in groups.items():
-        lines += [f"```{{toctree}}\n:caption: {group}\n:maxdepth: 1\n", *names, "```", ""]
+        lines += [f"## {group}", "", *(f"* [`{name}`]({name}.md): {_first_line(name)}" for name in names), ""]
     return "\n".join(lines)
+
+
+def _first_line(name: str) -> str:
+    """What a module is for, from its source: importing it may need what is not installed."""
+    path = Path(importlib.util.find_spec(name).origin)
+    text = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n\n")[0].replace("\n", " ")
+    return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text.replace("``", "`"))
 
 
 # ---- notebooks ------------------------------------------------------------------------------------------------------
