@@ -89,12 +89,17 @@ def test_every_link_between_pages_and_every_picture_exists():
                 assert (DOCS / target).exists(), f"{page.name}: {target}"
 
 
+def sidebar(page: Path) -> str:
+    """The navigation of a page of the site."""
+    return page.read_text(encoding="utf-8").split('class="sidebar-tree"')[1].split("</aside>")[0]
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path):
     for name in ("sphinx", "myst_nb", "furo", "latex2mathml"):
         pytest.importorskip(name)
     folders = ["-d", str(tmp_path / "doctrees"), str(DOCS), str(tmp_path / "site")]
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", *folders]
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-t", "quick", *folders]
     run = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr[-3000:]
     site = tmp_path / "site"
@@ -102,3 +107,5 @@ def test_the_site_builds_without_a_warning(tmp_path):
     rigid = site / "_generated" / "api" / "adaptiveface.tracking.rigid.html"
     assert "point_to_plane_step" in rigid.read_text(encoding="utf-8")
     assert any((site / "_generated" / "notebooks").glob("06*.html"))
+    index = (site / "_generated" / "api" / "index.html").read_text(encoding="utf-8")
+    assert 'href="adaptiveface.tracking.rigid.html"' in index and "adaptiveface.tracking.rigid.html" not in sidebar(rigid)

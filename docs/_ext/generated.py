@@ -121,9 +121,13 @@ def _picture(docs: Path, name: str) -> Path:
 
 def notebook_page(path: Path, docs: Path) -> str:
     """A notebook as it is, with its screenshot under the title: panels show only in Jupyter."""
+    executed = docs / "_executed" / path.name
+    own = path.parent == NOTEBOOKS
+    if own and executed.exists():  # by execute_notebooks.py: with what every cell has shown
+        return executed.read_text(encoding="utf-8")
     notebook = json.loads(path.read_text(encoding="utf-8"))
     picture = _picture(docs, path.name)
-    if path.parent == NOTEBOOKS and picture.exists():
+    if own and picture.exists():
         source = f"![This notebook in JupyterLab]({picture.name})"
         notebook["cells"].insert(1, {"cell_type": "markdown", "id": "screenshot", "metadata": {}, "source": source})
     return json.dumps(notebook, indent=1, ensure_ascii=False) + "\n"

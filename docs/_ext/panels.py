@@ -1,0 +1,80 @@
+"""Executed notebooks for the site: a panel of widgets becomes the pictures and words that it showed when its cell had run.
+
+A page has no kernel. What a widget displays is in the notebook's stored state; ``RENDERERS`` maps a widget model's name to
+a function that makes outputs of it, which is where views that work in the page by themselves can join.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+
+from PIL import Image
+
+VIEW = "application/vnd.jupyter.widget-view+json"
+STATE = "application/vnd.jupyter.widget-state+json"
+#: Pixels; wider pictures are shrunk, so that pages stay small.
+WIDEST = 900
+
+
+def image(model: dict) -> list[dict]:
+    """The picture of an Image widget, as JPEG or PNG."""
+    data = _value(model)
+    if not data:
+        return []
+    drawn = Image.open(io.BytesIO(base64.b64decode(data)))
+    if drawn.width < 2 or drawn.height < 2:
+        return []
+    drawn.thumbnail((WIDEST, WIDEST))
+    stream, kind = io.BytesIO(), "png" if drawn.format == "PNG" or model["state"].get("format") == "png" else "jpeg"
+    drawn.convert("RGB").save(stream, kind, optimize=True)
+    return [_output({f"image/{kind}": base64.b64encode(stream.getvalue()).decode()})]
+
+
+def _value(model: dict) -> str:
+    """The base64 text of a picture, or "" where the widget holds none."""
+    return next((b["data"] for b in model.get("buffers") or () if b["path"] == ["value"]), "")
+
+
+def words(model: dict) -> list[dict]:
+    """The text of an HTML widget; style sheets, which are for the live panel, are left out."""
+    text = model["state"].get("value", "")
+    return [_output({"text/html": f"<p>{text}</p>"})] if text.strip() and "<style" not in text else []
+
+
+#: Widget model -> what it leaves in the page. Sliders and buttons leave nothing: they need a kernel.
+RENDERERS: dict[str, Callable[[dict], list[dict]]] = {"ImageModel": image, "HTMLModel": words}
+
+
+def static(notebook: dict) -> dict:
+    """The notebook with every widget's view replaced by its pictures and words; the state is dropped, in place."""
+    state = notebook["metadata"].pop("widgets", {}).get(STATE, {}).get("state", {})
+    for cell in notebook["cells"]:
+        kept = []
+        for output in cell.get("outputs", ()):
+            view = output.get("data", {}).get(VIEW)
+            if output.get("name") == "stderr":
+                continue
+            kept += [output] if view is None else _drawn(view["model_id"], state)
+        if "outputs" in cell:
+            cell["outputs"] = kept
+    return notebook
+
+
+def _drawn(identity: str, state: dict) -> list[dict]:
+    """Outputs of a widget and of all that it holds, in their order."""
+    model = state.get(identity)
+    if model is None:
+        return []
+    name, values = model.get("model_name", ""), model["state"]
+    if "_esm" in values and _value(model):  # our own picture, which the mouse can turn
+        name = "ImageModel"
+    found = RENDERERS.get(name, lambda model: [])(model)
+    for child in values.get("children") or ():
+        found += _drawn(child.removeprefix("IPY_MODEL_"), state)
+    return found
+
+
+def _output(data: dict) -> dict:
+    return {"output_type": "display_data", "data": data, "metadata": {}}
