@@ -20,6 +20,7 @@ FLOORS = (
     ),
     ("face_model", "actor", "blendshapes", "insides", "gaze"),
     ("synthetic", "sensors", "landmarks"),
+    ("registration",),
     ("tracking",),
     ("neutral", "importers", "exercises"),
     ("rows", "result_access", "result"),
@@ -34,7 +35,7 @@ FLOORS = (
 )
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 #: What tracking may take: arrays go in and come out.
-TRACKING = {"actor", "appearance", "camera", "frame", "mesh", "parameters", "errors", "blas", "caches"}
+TRACKING = {"actor", "appearance", "camera", "frame", "mesh", "parameters", "errors", "blas", "caches", "registration"}
 
 
 def place(path: Path) -> str:

@@ -104,7 +104,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert run.returncode == 0, run.stderr[-3000:]
     site = tmp_path / "site"
     assert "valid_max" in (site / "_generated" / "parameters.html").read_text(encoding="utf-8")
-    rigid = site / "_generated" / "api" / "adaptiveface.tracking.rigid.html"
+    rigid = site / "_generated" / "api" / "adaptiveface.registration.step.html"
     assert "point_to_plane_step" in rigid.read_text(encoding="utf-8")
     assert any((site / "_generated" / "notebooks").glob("06*.html"))
     index = (site / "_generated" / "api" / "index.html").read_text(encoding="utf-8")

@@ -11,14 +11,17 @@ from scipy.sparse.linalg import spsolve
 
 from adaptiveface.mesh import cotangent_laplacian, transform_points, vertex_normals
 from adaptiveface.parameters import BlendshapeParameters, DepthParameters, KalmanParameters, RigidParameters
+from adaptiveface.registration.association import Correspondences, find_correspondences
+from adaptiveface.registration.icp import icp, last
+from adaptiveface.registration.step import point_to_plane_step, rigid_jacobian
+from adaptiveface.registration.surface import depth_surface, occluded_share
 from adaptiveface.tracking.bounded import bounded_least_squares, sparse_least_squares
-from adaptiveface.tracking.depth_surface import Correspondences, depth_surface, find_correspondences, occluded_share
 from adaptiveface.tracking.detection import pose_from_features
 from adaptiveface.tracking.expression import BlendshapeFit
 from adaptiveface.tracking.feature_rows import feature_rows
 from adaptiveface.tracking.kalman import CoefficientFilter
 from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation, PrefactoredSystem, feature_term
-from adaptiveface.tracking.rigid import RigidTracker, point_to_plane_step, rigid_jacobian
+from adaptiveface.tracking.rigid import RigidTracker
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +82,32 @@ def test_a_hand_in_front_is_an_occluded_share_and_the_own_nose_is_none(actor):
     assert 0.1 < covered < 0.6
     empty = whole_surface(dataclasses.replace(frame, depth=np.zeros_like(depth)))
     assert occluded_share(empty, points, normals, 10.0) == 0.0
+
+
+def test_icp_yields_the_start_and_every_step_and_says_why_it_stops():
+    def run(converged=0.0, least=1):
+        searches = []
+
+        def associate(pose):
+            searches.append(pose[0, 3])
+            return int(pose[0, 3])
+
+        def step(pose, matches):
+            moved = pose.copy()
+            moved[0, 3] /= 2
+            return moved, moved[0, 3]
+
+        start = np.eye(4)
+        start[0, 3] = 8.0
+        iterates = list(icp(start, associate, step, lambda matches: matches, least, 5, converged))
+        assert searches == [i.pose[0, 3] for i in iterates], "one search per iterate"
+        assert start[0, 3] == 8.0 and last(iter(iterates)) is iterates[-1]
+        return [(i.pose[0, 3], i.matches, i.starved) for i in iterates]
+
+    whole = [(8.0, 8, False), (4.0, 4, False), (2.0, 2, False), (1.0, 1, False)]
+    assert run() == [*whole, (0.5, 0, True)], "without matches there is no step"
+    assert run(least=0) == [*whole, (0.5, 0, False), (0.25, 0, False)], "five steps"
+    assert run(converged=3.0) == whole[:3], "the step that moves by less is the last"
 
 
 def test_point_to_plane_step_equals_numpy_least_squares():

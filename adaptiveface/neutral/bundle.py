@@ -17,9 +17,9 @@ from ..camera import Camera
 from ..face_model import FaceModel
 from ..feature_set import FeatureSet
 from ..mesh import surface_points, transform_points
+from ..registration.step import apply_rigid_update
 from ..tracking.bounded import bounded_least_squares
 from ..tracking.expression import CROSS
-from ..tracking.rigid import apply_rigid_update
 from .features import ALONG
 
 #: Gauss-Newton rounds.

@@ -19,11 +19,11 @@ from ..face_model import FaceModel, embedded_face_model
 from ..frame import SCORE_NAMES, DetectedFace, RgbdFrame
 from ..mesh import surface_points, transform_points
 from ..parameters import Parameters
+from ..registration.step import apply_rigid_update
 from ..tracking.bounded import bounded_least_squares
 from ..tracking.detection import pose_from_features
 from ..tracking.expression import CROSS
 from ..tracking.feature_rows import feature_rows
-from ..tracking.rigid import apply_rigid_update
 from .bundle import Bundle, View, solve_bundle
 from .capture import build_actor
 from .features import calibrated_features, constraints_on

@@ -15,9 +15,10 @@ from ..camera import Camera
 from ..frame import Features2D, RgbdFrame
 from ..mesh import rotation_vector_matrix, transform_points
 from ..parameters import FusionParameters
+from ..registration.icp import icp, last
+from ..registration.step import motion_of, rigid_jacobian
 
 MIN_CORRESPONDENCES = 200
-_HEAD_RADIUS = 100.0  # mm, turns an angle into the motion it makes at the skin
 _CONVERGED = 0.05  # mm; below it the nearest pixels change at random
 _DEPTH_JUMP = 10.0  # mm between neighbouring pixels: an occlusion boundary, where depth and normal are unreliable
 
@@ -118,17 +119,23 @@ def align(
     distance, normal and boundary, and takes one Gauss-Newton step on the robust point-to-plane energy.
     """
     limit = parameters.prune
-    for _ in range(parameters.iterations):
-        pairs = correspondences(view, points, normals, pose, limit, parameters)
-        if len(pairs.distances) < MIN_CORRESPONDENCES:
-            break
+
+    def associate(pose: np.ndarray) -> Pairs:
+        return correspondences(view, points, normals, pose, limit, parameters)
+
+    def advance(pose: np.ndarray, pairs: Pairs) -> tuple[np.ndarray, float]:
+        nonlocal limit
         scale = max(3.0 * 1.4826 * float(np.median(np.abs(pairs.distances))), 1.0)
         step, motion = _point_to_plane_step(pairs, scale)
-        pose = step @ pose
         limit = float(np.clip(4.0 * scale, 5.0, parameters.prune))
-        if motion < _CONVERGED:
-            break
-    return evaluate(view, pose, points, normals, parameters)
+        return step @ pose, motion
+
+    found = last(icp(pose, associate, advance, _count, MIN_CORRESPONDENCES, parameters.iterations, _CONVERGED))
+    return evaluate(view, found.pose, points, normals, parameters)
+
+
+def _count(pairs: Pairs) -> int:
+    return len(pairs.distances)
 
 
 def evaluate(view: DepthView, pose: np.ndarray, points, normals, parameters: FusionParameters) -> Registration:
@@ -172,14 +179,14 @@ def _point_to_plane_step(pairs: Pairs, scale: float) -> tuple[np.ndarray, float]
     """
     weight = pairs.cosines * np.clip(1.0 - (pairs.distances / (1.5 * scale)) ** 2, 0.0, None) ** 2
     centre = pairs.points.mean(axis=0)
-    rows = np.concatenate([np.cross(pairs.points - centre, pairs.normals), pairs.normals], axis=1)
+    rows = rigid_jacobian(pairs.points, pairs.normals, centre)
     lhs = rows.T @ (rows * weight[:, None])
     lhs[np.diag_indices(6)] += 1e-9 * np.trace(lhs)
     solution = np.linalg.solve(lhs, -rows.T @ (weight * pairs.distances))
     step = np.eye(4)
     step[:3, :3] = rotation_vector_matrix(solution[:3])
     step[:3, 3] = centre + solution[3:] - step[:3, :3] @ centre
-    return step, float(_HEAD_RADIUS * np.linalg.norm(solution[:3]) + np.linalg.norm(solution[3:]))
+    return step, motion_of(solution)
 
 
 def feature_pose(frame: RgbdFrame, feature_points: np.ndarray, features: Features2D | None = None) -> np.ndarray | None:

@@ -15,10 +15,11 @@ from ..camera import Camera
 from ..frame import Features2D
 from ..mesh import transform_points
 from ..parameters import BlendshapeParameters
+from ..registration.association import find_correspondences
+from ..registration.step import apply_rigid_update
+from ..registration.surface import DepthSurface
 from .bounded import bounded_least_squares, sparse_least_squares
-from .depth_surface import DepthSurface, find_correspondences
 from .feature_rows import feature_rows
-from .rigid import apply_rigid_update
 
 #: (a x b)_i = CROSS_ijk a_j b_k
 CROSS = np.array([np.cross(axis, np.eye(3)).T for axis in np.eye(3)]).transpose(1, 0, 2)

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import splu
 
 from ..caches.compiled import compiled
 from ..mesh import cotangent_laplacian
-from .depth_surface import Correspondences
+from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
 
 

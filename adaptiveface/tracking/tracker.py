@@ -12,8 +12,9 @@ from ..actor import Actor
 from ..frame import Features2D, RgbdFrame
 from ..mesh import transform_points, vertex_normals
 from ..parameters import Parameters
+from ..registration.association import find_correspondences
+from ..registration.surface import DepthSurface, crop_window, depth_surface, occluded_share
 from .adaptive_pca import AdaptiveModel
-from .depth_surface import DepthSurface, crop_window, depth_surface, find_correspondences, occluded_share
 from .detection import pose_from_features
 from .expression import BlendshapeFit
 from .feature_confidence import weigh_features

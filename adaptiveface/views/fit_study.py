@@ -14,8 +14,9 @@ from ..actor import Actor
 from ..frame import RgbdFrame
 from ..mesh import vertex_normals
 from ..parameters import BlendshapeParameters, DepthParameters, KalmanParameters
+from ..registration.association import find_correspondences
+from ..registration.surface import crop_window, depth_surface
 from ..tracking.bounded import bounded_least_squares
-from ..tracking.depth_surface import crop_window, depth_surface, find_correspondences
 from ..tracking.feature_rows import feature_rows
 from ..tracking.kalman import CoefficientFilter
 from ..tracking.types import TrackedFrame

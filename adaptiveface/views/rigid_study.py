@@ -12,8 +12,10 @@ from ..evaluation import neutral_alignment, pose_error
 from ..frame import RgbdFrame
 from ..mesh import transform_points, vertex_normals
 from ..parameters import DepthParameters, Parameters
-from ..tracking.depth_surface import crop_window, depth_surface, find_correspondences
-from ..tracking.rigid import apply_rigid_update, point_to_plane_step
+from ..registration.association import Correspondences, find_correspondences
+from ..registration.icp import icp
+from ..registration.step import apply_rigid_update, motion_of, point_to_plane_step
+from ..registration.surface import crop_window, depth_surface
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
 from .face_view import FaceView
@@ -54,18 +56,19 @@ def run_icp(
     """
     pixels = frame.camera.project(transform_points(start, shape))
     surface = depth_surface(frame.depth, frame.camera, crop_window(frame.camera, pixels, 40.0), DepthParameters())
-    pose, poses, residuals, counts = start, [start], [], []
-    for _ in range(iterations + 1):
-        points = transform_points(pose, shape)
-        matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, prune)
-        residuals.append(matches.mean_distance)
-        counts.append(matches.count)
-        if len(poses) > iterations or matches.count < 6:
-            break
-        centre = points.mean(axis=0)
-        pose = apply_rigid_update(pose, step(points, matches, centre, np.ones(len(points))), centre)
-        poses.append(pose)
-    return IcpRun(np.array(poses), np.array(residuals), np.array(counts))
+    weights, middle = np.ones(len(shape)), shape.mean(axis=0)
+
+    def associate(pose: np.ndarray) -> Correspondences:
+        return find_correspondences(surface, shape, normals, prune, pose)
+
+    def advance(pose: np.ndarray, matches: Correspondences) -> tuple[np.ndarray, float]:
+        centre = transform_points(pose, middle)
+        update = step(matches.points, matches, centre, weights)
+        return apply_rigid_update(pose, update, centre), motion_of(update)
+
+    run = list(icp(start, associate, advance, lambda matches: matches.count, 6, iterations))
+    residuals, counts = [i.matches.mean_distance for i in run], [i.matches.count for i in run]
+    return IcpRun(np.array([i.pose for i in run]), np.array(residuals), np.array(counts))
 
 
 def depth_points(frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius: float = 130.0, stride: int = 3) -> np.ndarray:

@@ -1,0 +1,93 @@
+"""The depth map as a surface: crop, noise-reduced depth and its gradient (section 4.1).
+
+The surface point of a pixel is z K^-1 (u, v, 1) with the smoothed depth z(u, v).
+The cross product of its two derivatives is the normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..camera import Camera
+from ..parameters import DepthParameters
+
+
+@dataclass(frozen=True)
+class DepthSurface:
+    """A cropped, smoothed depth map. ``origin`` (u, v) pixel of the crop's corner; the rest (h, w) float32:
+
+    depth mm; gradient_u, gradient_v mm per pixel; valid: 1 where measured and away from depth edges, else 0; min_view: the
+    smallest usable cosine of the viewing angle.
+    """
+
+    camera: Camera
+    origin: tuple[int, int]
+    depth: np.ndarray
+    gradient_u: np.ndarray
+    gradient_v: np.ndarray
+    valid: np.ndarray
+    min_view: float
+
+
+def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 0) -> tuple[int, int, int, int]:
+    """u0, v0, u1, v1 of the face window: the box of ``pixels`` (n, 2) plus a margin, or a fixed square about its centre."""
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    if fixed:
+        centre = (low + high) / 2
+        low, high = centre - fixed / 2, centre + fixed / 2
+    else:
+        low, high = low - margin, high + margin
+    size = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(low), 0, size - 1).astype(int)
+    high = np.clip(np.ceil(high) + 1, low + 1, size).astype(int)
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def depth_surface(depth: np.ndarray, camera: Camera, window, parameters: DepthParameters) -> DepthSurface:
+    """Crop and smooth a depth map (H, W) mm; see :class:`DepthSurface`.
+
+    Normalised convolution: missing pixels neither pull the mean towards zero nor leave a rim. Pixels at a depth edge are
+    invalid, since the sensor mixes foreground and background there (Rusinkiewicz & Levoy 2001 reject boundary points).
+    """
+    u0, v0, u1, v1 = window
+    z = np.ascontiguousarray(depth[v0:v1, u0:u1], np.float32)
+    measured = (z > 0).astype(np.float32)
+    far = np.where(z > 0, z, np.float32(1e6))
+    span = cv2.dilate(z, np.ones((3, 3))) - cv2.erode(far, np.ones((3, 3)))
+    edge = (span > parameters.edge).astype(np.uint8)
+    clean = measured * (1 - edge)
+
+    def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
+        return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+
+    def masked_mean(sigma: float) -> tuple[np.ndarray, np.ndarray]:
+        weight = smooth(clean, sigma)
+        return smooth(z * clean, sigma) / np.maximum(weight, 1e-3), weight
+
+    fine, _ = masked_mean(parameters.smoothing)
+    coarse, support = masked_mean(parameters.normal_smoothing)
+    gradient_u = cv2.Sobel(coarse, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
+    gradient_v = cv2.Sobel(coarse, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+    # Half of the support is missing on a straight rim: one and a half smoothing lengths inside it, 7 % are.
+    valid = clean * (support > 0.8)
+    return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_view)
+
+
+def occluded_share(surface: DepthSurface, points: np.ndarray, normals: np.ndarray, margin: float) -> float:
+    """Share of the measured points (n, 3) that something more than ``margin`` mm in front of them hides: a hand, hair.
+
+    ``points`` and unit ``normals`` (n, 3) in the camera frame; what does not face the camera is not asked, since the
+    face hides that itself. 0 where nothing is measured.
+    """
+    facing = -np.einsum("nd,nd->n", normals, points) > 0.3 * np.linalg.norm(points, axis=1)
+    front = points[facing & (points[:, 2] > 1.0)]
+    pixels = np.rint(surface.camera.project(front) - surface.origin).astype(int)
+    height, width = surface.valid.shape
+    inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+    u, v = pixels[inside].T
+    measured = surface.valid[v, u] > 0
+    hidden = measured & (surface.depth[v, u] < front[inside, 2] - margin)
+    return float(hidden.sum() / max(measured.sum(), 1))
