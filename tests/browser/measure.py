@@ -1,7 +1,8 @@
 """Measure in a real browser how the notebooks feel: ``python tests/browser/measure.py [live]`` (only the live view).
 
-Prints the median time from a slider's movement to the new picture on the page, and the pictures per second of a playback
-that learns, and of the live view. On synthetic input, with software rendering; the machine's load is printed beside them.
+Prints the median time from a slider's movement to the new picture on the page, the pictures per second of a head that is
+turned (with an idle and a busy kernel), of a playback that learns, and of the live view.
+On synthetic input, with software rendering; the machine's load is printed beside them.
 """
 
 from __future__ import annotations
@@ -27,6 +28,24 @@ _STEP = """async ([slider, key]) => {
   return window.loads.face.length > before ? window.loads.face[before] - start : NaN; }"""
 
 
+#: Drags the first face for so many milliseconds, a move per screen refresh; returns pictures per second.
+_TURN = """async milliseconds => {
+  const face = document.querySelector('.adaptiveface-face'), box = face.getBoundingClientRect();
+  face.setPointerCapture = () => {};
+  const send = (type, x) => face.dispatchEvent(
+    new PointerEvent(type, {pointerId: 1, button: 0, clientX: x, clientY: box.y + 100, bubbles: true}));
+  const start = performance.now();
+  send('pointerdown', box.x + 200);
+  window.loads.turned = [];
+  for (let k = 0; performance.now() - start < milliseconds; k++) {
+    send('pointermove', box.x + 200 + 80 * Math.sin(k / 20));
+    await new Promise(requestAnimationFrame);
+  }
+  send('pointerup', box.x + 200);
+  const times = window.loads.turned;
+  return (times.length - 1) / (times.at(-1) - times[0]) * 1000; }"""
+
+
 def slider_to_pixels(page, parameter: str) -> list[float]:
     """Milliseconds from a key press on a slider to the face's new picture, ``STEPS`` times."""
     times = []
@@ -44,6 +63,18 @@ def playback_rate(page, button: str) -> float:
     page.locator(button).first.click()
     rate = lab.pictures_per_second(page, SECONDS)
     page.locator(".adaptiveface-play").first.click()
+    return rate
+
+
+def rotation_rate(page, busy: bool) -> float:
+    """Pictures per second while a pointer drags the face to and fro; ``busy``: the kernel computes all the while."""
+    if busy:
+        work = "import time, numpy as np; end = time.time() + 8\nwhile time.time() < end: np.linalg.svd(np.ones((300, 300)))"
+        page.evaluate(
+            "code => { window.jupyterapp.shell.currentWidget.sessionContext.session.kernel.requestExecute({code}); }", work
+        )
+    rate = page.evaluate(_TURN, 1000 * SECONDS / 2)
+    page.wait_for_function("() => window.jupyterapp.shell.currentWidget.sessionContext.session.kernel.status === 'idle'")
     return rate
 
 
@@ -84,6 +115,9 @@ def main() -> None:
                     f"{name}: {parameter} to pixels: median {statistics.median(times):.0f} ms, "
                     f"90th percentile {times[int(0.9 * len(times))]:.0f} ms ({len(times)} steps, {same} without change, {load})"
                 )
+                for busy, what in ((False, "idle"), (True, "busy")):
+                    rate = rotation_rate(page, busy)
+                    print(f"{name}: rotation, kernel {what}: {rate:.1f} pictures/s (load {os.getloadavg()[0]:.1f})", flush=True)
                 for button, what in (
                     (".adaptiveface-play", "playback"),
                     (".adaptiveface-live", "playback that learns"),
