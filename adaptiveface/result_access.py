@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self, cast, overload
 
 import numpy as np
 
@@ -60,11 +60,36 @@ def to_head(rigid: np.ndarray, vertices: np.ndarray) -> np.ndarray:
 class ResultAccess:
     """What :class:`~adaptiveface.result.Result` offers besides its arrays."""
 
-    def __getitem__(self, key: int | slice) -> ResultFrame | ResultAccess:
+    if TYPE_CHECKING:  # the fields of Result that are used here
+        timestamps: np.ndarray
+        tracked: np.ndarray
+        reasons: tuple[str, ...]
+        rigid: np.ndarray
+        vertices: np.ndarray
+        triangles: np.ndarray
+        coefficients: np.ndarray
+        coefficients_initial: np.ndarray
+        expression_names: tuple[str, ...]
+        frontal: np.ndarray
+        correctives: np.ndarray | None
+        v1: np.ndarray | None
+        v2: np.ndarray | None
+        v3: np.ndarray | None
+
+        def __len__(self) -> int: ...
+
+    @overload
+    def __getitem__(self, key: int) -> ResultFrame: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> Self: ...
+
+    def __getitem__(self, key: int | slice) -> ResultFrame | Self:
         """Frame ``key`` (negative: from the end), or the result of the frames of a slice. Raises :class:`IndexError`."""
         if isinstance(key, slice):
-            rows = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name in _PER_FRAME}
-            return replace(self, **{name: value[key] for name, value in rows.items() if value is not None})
+            result = cast(Any, self)
+            rows = {entry.name: getattr(self, entry.name) for entry in fields(result) if entry.name in _PER_FRAME}
+            return replace(result, **{name: value[key] for name, value in rows.items() if value is not None})
         index = range(len(self))[key]
         return ResultFrame(
             index,
@@ -131,8 +156,10 @@ class ResultAccess:
         vertices = self._stage(index, stage)
         if isinstance(reference, str):
             missing = reference == "v1" and self.v1 is None
-            reference = None if missing else self._stage(index, reference)
-        moved = None if reference is None else vertices - reference
+            origin = None if missing else self._stage(index, reference)
+        else:
+            origin = reference
+        moved = None if origin is None else vertices - origin
         length = None if moved is None else np.linalg.norm(moved, axis=1)
         arrays = correctives(self.correctives)
         return surface(vertices, self.triangles, displacement=moved, distance=length, **arrays)
@@ -142,9 +169,10 @@ class ResultAccess:
         meshes = {"v1": self.v1, "v2": self.v2, "v3": self.v3, "v4": self.vertices}
         if stage not in meshes:
             raise ParameterError(f"stage {stage!r} is none of {', '.join(meshes)}")
-        if meshes[stage] is None:
+        mesh = meshes[stage]
+        if mesh is None:
             raise ParameterError(f"stage {stage!r} is not in this result: track with --keep-stages")
-        return to_head(self.rigid[index], meshes[stage][index])
+        return to_head(self.rigid[index], mesh[index])
 
     def curves(self, initial: bool = False, gaps: bool = False) -> DataFrame:
         """The coefficients as a table: a row per frame, a column per expression, the time as index.

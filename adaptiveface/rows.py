@@ -13,6 +13,7 @@ import logging
 import os
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,11 +28,12 @@ REASON = 200
 
 def row_type(vertices: int, expressions: int, stages: int, meshes: tuple[str, ...], regions: int = 0) -> np.dtype:
     """The dtype of one row; ``meshes``: names of its meshes (vertices, 3); ``regions`` of held-out landmarks."""
-    float32 = dict.fromkeys(meshes, (vertices, 3)) | {"rigid": (4, 4), "coefficients": (expressions,)}
-    float32 |= {"coefficients_initial": (expressions,), "stage_ms": (stages,)}
-    float32 |= {"residual": (), "anchor_distance": (), "adaptive_distance": ()}
+    float32: dict[str, tuple[int, ...]] = dict.fromkeys(meshes, (vertices, 3))
+    float32 |= {"rigid": (4, 4), "coefficients": (expressions,), "coefficients_initial": (expressions,)}
+    float32 |= {"stage_ms": (stages,), "residual": (), "anchor_distance": (), "adaptive_distance": ()}
     float32 |= {"held_out": (regions,)} if regions else {}
-    fields = [("timestamps", np.float64, ()), *((name, np.float32, shape) for name, shape in float32.items())]
+    fields: list[tuple[str, Any, tuple[int, ...]]] = [("timestamps", np.float64, ())]
+    fields += [(name, np.float32, shape) for name, shape in float32.items()]
     fields += [("corrective_updates", np.int32, ()), ("reasons", f"<U{REASON}", ())]
     fields += [("sample_state", np.int8, ()), ("tracked", np.bool_, ()), ("skipped", np.bool_, ())]
     return np.dtype(fields, align=True)
@@ -133,5 +135,5 @@ def read_rows(folder: Path, dtype: np.dtype) -> np.ndarray:
     return _mapped(path, dtype, count, "c")
 
 
-def _mapped(path: Path, dtype: np.dtype, count: int, mode: str = "r+") -> np.ndarray:
+def _mapped(path: Path, dtype: np.dtype, count: int, mode: Literal["r+", "c"] = "r+") -> np.ndarray:
     return np.memmap(path, dtype, mode, 0, (count,)) if count else np.zeros(0, dtype)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from dataclasses import field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 from .errors import ParameterError
@@ -17,6 +17,7 @@ def parameter(default, doc: str, *, unit: str = "", section: str = "", low=None,
     return field(default=default, metadata=metadata)
 
 
+@dataclass(frozen=True)
 class Stage:
     """Checks every field of a stage against its type and range. ``stage``: its name in the set."""
 
@@ -28,7 +29,8 @@ class Stage:
 
 
 def _checked(stage: str, entry: dataclasses.Field, value: Any) -> Any:
-    kind, meta, name = type(entry.default), entry.metadata, f"{stage}.{entry.name}"
+    kind: type[Any] = type(entry.default)
+    meta, name = entry.metadata, f"{stage}.{entry.name}"
     if isinstance(value, str) and kind is not str:
         value = _parse(name, kind, value)
     if kind is bool:
@@ -49,6 +51,12 @@ def _checked(stage: str, entry: dataclasses.Field, value: Any) -> Any:
     return kind(value)
 
 
+def _kind(entry: dataclasses.Field) -> type[Stage]:
+    """The stage's class, which makes a set's field."""
+    assert isinstance(entry.default_factory, type)
+    return entry.default_factory
+
+
 def _parse(name: str, kind: type, text: str) -> Any:
     if kind is bool:
         if text.lower() in ("true", "1", "yes", "on"):
@@ -62,6 +70,7 @@ def _parse(name: str, kind: type, text: str) -> Any:
         raise ParameterError(f"{name} = {text!r}: a number is expected") from None
 
 
+@dataclass(frozen=True)
 class StageSet:
     """Stages by name; a frozen dataclass whose fields are made by subclasses of :class:`Stage`."""
 
@@ -70,7 +79,7 @@ class StageSet:
         """The paper's literal values wherever a field names one."""
         stages = {}
         for stage in fields(cls):
-            kind = stage.default_factory
+            kind = _kind(stage)
             literal = {f.name: f.metadata["paper"] for f in fields(kind) if f.metadata["paper"] is not None}
             stages[stage.name] = kind(**literal)
         return cls(**stages)
@@ -123,5 +132,5 @@ class StageSet:
     @classmethod
     def rows(cls) -> list[dict[str, Any]]:
         """One row per parameter: stage, name, default and the field's documentation."""
-        stages = [(stage.name, entry) for stage in fields(cls) for entry in fields(stage.default_factory)]
+        stages = [(stage.name, entry) for stage in fields(cls) for entry in fields(_kind(stage))]
         return [dict(stage=stage, name=entry.name, default=entry.default, **entry.metadata) for stage, entry in stages]

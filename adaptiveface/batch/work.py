@@ -10,6 +10,7 @@ import shutil
 import time
 from contextlib import redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def run_job(folder: str, job: Job) -> dict:
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir(parents=True)
     start = time.perf_counter()
-    record = {"recording": job.name.split("/")[0], "source": job.source, **dict(job.settings)}
+    record: dict[str, Any] = {"recording": job.name.split("/")[0], "source": job.source, **dict(job.settings)}
     try:
         with open(unfinished / LOG, "w", encoding="utf-8", errors="backslashreplace") as log, redirect_stdout(log):
             record |= _work(unfinished, job)
@@ -115,7 +116,7 @@ def _export(folder: Path, kind: str) -> None:
 def summary(result, evaluation) -> dict:
     """Counts, times and, where the truth is known, errors of v4 on the last performance that it has (mm, shares)."""
     tracked = result.tracked
-    row = {
+    row: dict[str, Any] = {
         "frames": len(result),
         "tracked": int(tracked.sum()),
         "lost": int((~tracked & ~result.skipped).sum()),

@@ -79,7 +79,8 @@ def _on_cluster(function, items, client, shared) -> Iterator[tuple[Any, Any]]:
 
 def _in_processes(function, items: Iterable, processes: int, shared) -> Iterator[tuple[Any, Any]]:
     context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
-    waiting, running = list(items)[::-1], {}
+    waiting = list(items)[::-1]
+    running: dict[Any, tuple[Any, Any]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < processes:

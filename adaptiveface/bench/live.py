@@ -34,7 +34,8 @@ class TimedDetector:
     """A feature detector that keeps the time of every detection, ms."""
 
     def __init__(self) -> None:
-        self._detector, self.ms = FeatureDetector(video=True), []
+        self._detector = FeatureDetector(video=True)
+        self.ms: list[float] = []
 
     def detect(self, frame):
         """As the detector's own."""

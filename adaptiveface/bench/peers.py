@@ -115,7 +115,7 @@ def compare_all(recorded: Recorded, limit: int = 40) -> list[Comparison]:
 
 def _in_turn(ours: Callable, peer: Callable | None, inputs: list) -> tuple[float, float | None]:
     """Median CPU ms of both over the inputs; they take turns, so that both meet the same caches and clock rates."""
-    times = ([], [])
+    times: tuple[list[float], list[float]] = ([], [])
     for arguments in inputs:
         for function, spent in zip((ours, peer), times, strict=True):
             if function is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import NoReturn
 
 from .. import __version__
 from ..errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError
@@ -83,7 +84,7 @@ def _fail(message: str) -> int:
 class _Parser(argparse.ArgumentParser):
     """Reports a bad command line in one line, without the usage text."""
 
-    def error(self, message: str) -> None:
+    def error(self, message: str) -> NoReturn:
         """End the process with :data:`EXIT_ERROR` and one line."""
         self.exit(_fail(f"{message} (see {self.prog} --help)"))
 

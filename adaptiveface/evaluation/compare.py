@@ -119,8 +119,8 @@ def score_other(path: str | os.PathLike, truth: GroundTruth, model: FaceModel | 
         gaps = [TrueSurface(data["vertices"][k], data["triangles"]).distance(truth[k].vertices[inside]) for k in scored]
         out |= {"surface_median": float(np.median(gaps)), "surface_p95": float(np.percentile(gaps, 95))}
     if "landmarks" in data:
-        gaps = _landmark_gaps(path, data, truth, model, scored)
-        out |= {"landmark_mean": float(gaps.mean()), "landmark_p95": float(np.percentile(gaps, 95))}
+        apart = _landmark_gaps(path, data, truth, model, scored)
+        out |= {"landmark_mean": float(apart.mean()), "landmark_p95": float(np.percentile(apart, 95))}
     return out
 
 
@@ -158,10 +158,10 @@ def bootstrap_interval(values: Sequence[float], confidence: float = 0.95, seed: 
     """
     from scipy.stats import bootstrap
 
-    values = np.asarray(values, float)
-    if len(values) < 2:
+    sample = np.asarray(values, float)
+    if len(sample) < 2:
         return float("nan"), float("nan")
-    if np.ptp(values) == 0.0:
-        return float(values[0]), float(values[0])
-    result = bootstrap((values,), np.mean, confidence_level=confidence, rng=np.random.default_rng(seed))
+    if np.ptp(sample) == 0.0:
+        return float(sample[0]), float(sample[0])
+    result = bootstrap((sample,), np.mean, confidence_level=confidence, rng=np.random.default_rng(seed))
     return float(result.confidence_interval.low), float(result.confidence_interval.high)

@@ -81,7 +81,7 @@ class GroundTruth:
 
 def _mean_neutral(read: Callable[[int], TruthFrame], n_frames: int, path="the source", most: int = 10) -> np.ndarray:
     """(V, 3) mean of the first neutral frames, taken back to the head frame."""
-    heads = []
+    heads: list[np.ndarray] = []
     for index in range(n_frames):
         frame = read(index)
         if frame.performance != NEUTRAL or len(heads) == most:

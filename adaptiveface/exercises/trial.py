@@ -125,10 +125,10 @@ def run_trial(in_place: Callable[[], AbstractContextManager], images, actor, par
     difference = max(
         float(np.linalg.norm(a.vertices - b.vertices, axis=1)[region].max()) for a, b in zip(own, package, strict=True)
     )
-    error = package_error = np.nan
+    own_error = package_error = np.nan
     if performance is not None:
-        error, package_error = (_error(run, performance, region) for run in (own, package))
-    return Trial(len(images), sum(result.tracked for result in own), error, package_error, difference, ms, package_ms)
+        own_error, package_error = (_error(run, performance, region) for run in (own, package))
+    return Trial(len(images), sum(result.tracked for result in own), own_error, package_error, difference, ms, package_ms)
 
 
 def _run(in_place, images, actor: Actor, parameters) -> tuple[list, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -34,7 +35,7 @@ STATE_COLOURS = {
     SampleState.HIDDEN: (ORANGE, "face hidden"),
 }
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "report",
     "font.family": "sans-serif",
@@ -221,7 +222,7 @@ def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> str:
         stages = [(evaluation.stages[-1], BLUE)]
         if len(evaluation.stages) > 1:
             stages.insert(0, (evaluation.stages[0], ORANGE))
-        tops = [], []
+        tops: tuple[list[float], list[float]] = [], []
         for stage, colour in stages:
             p95 = np.percentile(evaluation.surface[evaluation.stages.index(stage)], 95, axis=1)
             mean = evaluation.motion_length(stage).mean(axis=1)

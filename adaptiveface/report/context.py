@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from ..actor import Actor
 from ..errors import FrameError
 from ..evaluation import PERFORMANCE_NAMES, Evaluation, GroundTruth
+from ..frame import RgbdFrame
 from .record import RunRecord
 
 #: Stretches of the source to mark on time axes: (first second, last second, name).
 Spans = tuple[tuple[float, float, str], ...]
+
+
+class Source(Protocol):
+    """What frames are read from again."""
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame ``index``. Raises :class:`~adaptiveface.errors.FrameError`."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -19,13 +31,13 @@ class Context:
     """The run, its source (or None), the rig, the truth and the evaluation (or None), the time spans to mark."""
 
     record: RunRecord
-    source: object
-    actor: object
+    source: Source | None
+    actor: Actor
     truth: GroundTruth | None = None
     evaluation: Evaluation | None = None
     spans: Spans = ()
 
-    def frame(self, position: int):
+    def frame(self, position: int) -> RgbdFrame | None:
         """The source's frame at a position of the record, or None where it cannot be read."""
         if self.source is None:
             return None
@@ -34,7 +46,7 @@ class Context:
         except FrameError:
             return None
 
-    def frames(self, positions) -> list[tuple[int, object]]:
+    def frames(self, positions: Iterable[int]) -> list[tuple[int, RgbdFrame]]:
         """(position, frame) of those that can be read."""
         read = ((position, self.frame(position)) for position in positions)
         return [(position, frame) for position, frame in read if frame is not None]
@@ -42,6 +54,7 @@ class Context:
     @property
     def scored_times(self) -> np.ndarray:
         """(F,) seconds of the scored frames."""
+        assert self.evaluation is not None  # only charts of errors ask
         return scored_times(self.record, self.evaluation)
 
 

@@ -153,5 +153,5 @@ def _shrink(rgba: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     alpha = rgba[..., 3:].astype(np.float32) / 255
     premultiplied = np.dstack([rgba[..., :3] * alpha, alpha * 255])
     small = cv2.resize(premultiplied, size, interpolation=cv2.INTER_AREA)
-    small[..., :3] /= np.maximum(small[..., 3:] / 255, 1e-6)
-    return np.clip(np.rint(small), 0, 255).astype(np.uint8)
+    colours = small[..., :3] / np.maximum(small[..., 3:] / 255, 1e-6)
+    return np.clip(np.rint(np.dstack([colours, small[..., 3:]])), 0, 255).astype(np.uint8)

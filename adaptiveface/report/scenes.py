@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from ..evaluation import motion_error, neutral_alignment
+from ..frame import RgbdFrame
 from ..mesh import transform_points
 from ..rendering import heat_map
 from . import page, pictures
@@ -60,7 +61,7 @@ def tracked_frames(context: Context, count: int = 5, width: int = 250) -> str:
     )
 
 
-def _row(context: Context, k: int, frame, width: int) -> str:
+def _row(context: Context, k: int, frame: RgbdFrame, width: int) -> str:
     record, actor = context.record, context.actor
     final, triangles = record.vertices[k].astype(float), pictures.frontal_triangles(actor)
     view = pictures.face_view(frame.camera, final[actor.frontal][None], width)
@@ -82,6 +83,7 @@ def _row(context: Context, k: int, frame, width: int) -> str:
 
 def _motion_error(context: Context, k: int, final: np.ndarray) -> np.ndarray:
     actor, truth = context.actor, context.truth
+    assert truth is not None  # asked for by the caller
     frame = truth[int(context.record.index[k])]
     alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
     error = motion_error(final, actor.neutral, frame.vertices, truth.neutral, frame.rigid, alignment)

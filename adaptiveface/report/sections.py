@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from .. import __version__
-from ..evaluation import FIRST, PERFORMANCE_NAMES, REPEAT
+from ..evaluation import FIRST, PERFORMANCE_NAMES, REPEAT, Evaluation
 from ..parameters import Parameters, describe
 from ..result import COLOUR_ONLY
 from ..tracking.held_out import describe as describe_fit
@@ -136,15 +136,16 @@ def _corrective_faces(actor, correctives: np.ndarray) -> str:
 
 def errors(context: Context, note: str = "") -> str:
     """Errors against the ground truth: a table per stage and performance, curves, and where on the face they are."""
-    if context.evaluation is None:
+    evaluation = context.evaluation
+    if evaluation is None:
         return ""
-    chart = charts.errors(context.evaluation, context.scored_times, context.spans)
+    chart, faces = charts.errors(evaluation, context.scored_times, context.spans), _error_faces(context, evaluation)
     return (
         "<h2>Errors against the truth</h2><p>In mm, but for the active share. Surface: distance to the true surface, "
         "over the frontal vertices that may take depth. The rest: error of every vertex's motion, with the constant "
         "error of the neutral removed and the error of the head pose kept; regions as means over all frames, normal "
         "and tangential parts over vertices that truly moved by more than 2 mm, the active share likewise. "
-        f'{escape(note)}</p>{_error_table(context.evaluation)}<div class="chart">{chart}</div>{_error_faces(context)}'
+        f'{escape(note)}</p>{_error_table(evaluation)}<div class="chart">{chart}</div>{faces}'
     )
 
 
@@ -162,8 +163,8 @@ def _error_table(evaluation) -> str:
     return page.table(header, rows, strong)
 
 
-def _error_faces(context: Context) -> str:
-    evaluation, portraits = context.evaluation, pictures.Portraits(context.actor, (200, 258))
+def _error_faces(context: Context, evaluation: Evaluation) -> str:
+    portraits = pictures.Portraits(context.actor, (200, 258))
     last = REPEAT if evaluation.frames(REPEAT).any() else None
     faces = ""
     for stage in dict.fromkeys((evaluation.stages[0], evaluation.stages[-1])):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 def smooth_field(rng: np.random.Generator, points: np.ndarray, wavelength: float, channels: int = 1) -> np.ndarray:
@@ -20,7 +21,7 @@ def smooth_field(rng: np.random.Generator, points: np.ndarray, wavelength: float
     return np.sqrt(2 / n_waves) * np.cos(angle).sum(axis=2)
 
 
-def soft_step(x: np.ndarray) -> np.ndarray:
+def soft_step(x: ArrayLike) -> np.ndarray:
     """0 below 0, 1 above 1, minimum-jerk polynomial between (Flash & Hogan 1985)."""
     x = np.clip(x, 0, 1)
     return x**3 * (10 - 15 * x + 6 * x**2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -56,14 +56,15 @@ def face_seen(reason: str) -> bool:
     return reason not in ("", NO_FACE, NO_DEPTH, UNKNOWN)
 
 
-def verdict(tracked: Sequence[bool], skipped: Sequence[bool], reasons: Sequence[str]) -> str:
+def verdict(tracked: Iterable[bool], skipped: Iterable[bool], reasons: Iterable[str]) -> str:
     """One line where fewer than ``EXPECTED`` of the frames with a face are tracked, with the likely reason; else ""."""
+    tracked = list(tracked)
     lost = Counter(
         reason
         for reason, kept, broken in zip(reasons, tracked, skipped, strict=True)
         if not kept and not broken and face_seen(reason)
     )
-    found, missed = int(np.sum(tracked)), sum(lost.values())
+    found, missed = sum(map(bool, tracked)), sum(lost.values())
     if found >= EXPECTED * (found + missed):
         return ""
     (reason, count), *_ = lost.most_common(1)
