@@ -498,7 +498,8 @@ def test_the_student_copy_holds_no_solution(tmp_path, capsys):
     target = tmp_path / "students"
     assert cli.main(["exercises", "--student", str(target)]) == 0
     names = {path.name for path in target.rglob("*")}
-    assert names == {path.name for path in SOLUTIONS.parent.glob("*.ipynb")}
+    assert names == {"README.md", *(path.name for path in SOLUTIONS.parent.glob("*.ipynb"))}
+    assert "--grade" in (target / "README.md").read_text(encoding="utf-8")
     text = "\n".join(path.read_text(encoding="utf-8") for path in target.glob("*.ipynb"))
     assert "solutions/" not in text and "olution is in" not in text
     for exercise in exercises.EXERCISES:

@@ -29,6 +29,18 @@ MAX_BYTES = 8 << 20
 MAX_SECONDS = 300
 _SOLUTION = re.compile(r"\s*A\s+solution\s+is\s+in\s+\[[^\]]*\]\([^)]*\)\.", re.S)
 
+_START = """# How to begin
+
+1. `python -m pip install "adaptiveface[notebooks]"` (or from a checkout: `".[notebooks]"`), then `adaptiveface doctor`.
+2. `jupyter lab` in this folder. Open the notebook of the sheet, and run its cells from the top (Shift+Enter). The first run
+   renders a performance, which takes half a minute.
+3. An exercise has a cell with an empty function. Write it, run the cell, and run the cell below it: that is the grader. It says
+   what is wrong. `exercises.NAME.hint(1)` to `hint(3)` help; the exercise's text says the name.
+4. Hand in: save the notebook and send the file. Keep the functions' names; only they, and what they need, are
+   graded. To see what
+   the teacher will see, put the file into a folder of its own and run `adaptiveface exercises --grade FOLDER`.
+"""
+
 
 @dataclass(frozen=True)
 class Mark:
@@ -58,6 +70,8 @@ def student_copy(source: Path, target: Path) -> list[Path]:
         with replacing(target / path.name) as temporary:
             temporary.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         written.append(target / path.name)
+    with replacing(target / "README.md") as temporary:
+        temporary.write_text(_START, encoding="utf-8")
     return written
 
 
