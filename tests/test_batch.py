@@ -124,6 +124,16 @@ def test_a_cluster_does_the_call_of_a_lost_worker_again(tmp_path):
         client.close()
 
 
+@pytest.mark.slow
+def test_what_was_lost_with_the_only_worker_is_sent_again(tmp_path):
+    pytest.importorskip("distributed")
+    client = dask_client(workers=1)
+    try:
+        assert dict(completed(_die_once, range(3), client, shared=(tmp_path,))) == {n: n for n in range(3)}
+    finally:
+        client.close()
+
+
 # ---- whole batches ----
 
 

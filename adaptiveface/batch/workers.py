@@ -12,6 +12,8 @@ from typing import Any, TypeVar
 
 from ..errors import AdaptiveFaceError, MissingExtraError
 
+#: How often a cluster is sent the shared values when every worker that held them was lost.
+SCATTERED = 3
 Item = TypeVar("Item")
 
 
@@ -62,19 +64,29 @@ def _attempt(function, *arguments):
 def _on_cluster(function, items, client, shared) -> Iterator[tuple[Any, Any]]:
     from distributed import as_completed
 
-    common = [client.scatter(value, broadcast=True) for value in shared]
-    futures = {client.submit(function, *common, item, pure=False): item for item in items}
-    try:
-        for future in as_completed(futures):
-            error = future.exception()
-            if error is None:
-                yield futures[future], future.result()
-            elif type(error).__name__ == "KilledWorker":
-                yield futures[future], WorkerLost("each worker of the cluster that took it was lost")
-            else:
-                yield futures[future], error
-    finally:
-        client.cancel([future for future in futures if not future.done()])
+    left = list(items)
+    for _ in range(SCATTERED):
+        common = [client.scatter(value, broadcast=True) for value in shared]
+        futures = {client.submit(function, *common, item, pure=False): item for item in left}
+        left = []
+        try:
+            for future in as_completed(futures):
+                item = futures[future]
+                error = None if future.cancelled() else future.exception()
+                if future.cancelled():  # the shared values were lost with the last worker that held them
+                    left.append(item)
+                elif error is None:
+                    yield item, future.result()
+                elif type(error).__name__ == "KilledWorker":
+                    yield item, WorkerLost("each worker of the cluster that took it was lost")
+                else:
+                    yield item, error
+        finally:
+            client.cancel([future for future in futures if not future.done()])
+        if not left:
+            return
+    for item in left:
+        yield item, WorkerLost("all workers of the cluster were lost, again and again")
 
 
 def _in_processes(function, items: Iterable, processes: int, shared) -> Iterator[tuple[Any, Any]]:
