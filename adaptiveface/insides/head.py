@@ -15,6 +15,8 @@ from .parts import CAVITY, CORNEA, eyeball_mesh, strip, teeth_mesh, tongue_mesh
 IRIS = (92, 116, 128)
 #: Skin stays this far in front of an eyeball, mm: half the sag of a lid's triangles.
 CLEARANCE = 0.35
+#: A lip's rim covers the teeth within this radius, mm.
+LIP_WIDTH = 2.0
 #: Rings of the mouth behind its rim: depth mm, how far it widens, how much it follows the rim, and its light.
 _MOUTH = ((0.0, 0.0, 1.0, 1.0), (4.0, 0.3, 0.97, 0.8), (14.0, 0.9, 0.85, 0.5), (44.0, 0.8, 0.6, 0.3))
 #: Largest height of the mouth behind the lips, mm to each side.
@@ -56,8 +58,9 @@ class Insides:
             arm = rim - centre
             length = np.linalg.norm(arm, axis=1, keepdims=True)
             pieces += [rim, centre + arm / length * np.minimum(0.985 * self.eye_radii[side], length)]
-        pieces.append(self.upper)
-        pieces.append(self.jaw.moved(self.lower, skin - self.neutral_skin))
+        lips = skin[self.mouth_loop]
+        for row in (self.upper, self.jaw.moved(self.lower, skin - self.neutral_skin)):
+            pieces.append(row - [0.0, 0.0, teeth_retreat(row, lips)])
         pieces.append(self._mouth(skin))
         return np.concatenate(pieces)
 
@@ -77,6 +80,13 @@ class Insides:
             ring[:, 0] = middle[0] + (rest[:, 0] - middle[0]) * (1 - 0.35 * (depth / _MOUTH[-1][0]) ** 2)
             rings.append(ring + follow * (moved if depth < 2 else _smooth(moved)))
         return np.concatenate([*rings, rings[-1].mean(axis=0, keepdims=True)])
+
+
+def teeth_retreat(row: np.ndarray, lips: np.ndarray) -> float:
+    """Millimetres by which teeth (n, 3) give way to lips (m, 3) that roll in over them."""
+    apart = row[:, None] - lips
+    covered = (apart[..., :2] ** 2).sum(axis=2) < LIP_WIDTH**2
+    return float(np.max(apart[covered, 2] + CLEARANCE, initial=0.0))
 
 
 @dataclass(frozen=True)
