@@ -72,8 +72,8 @@ class Driver(ABC):
     broken: Sequence[str] = ()  #: a recording's: the reason of each frame that cannot be used
 
     description: str = ""  #: for the list of sensors
-    unconnected: str = "not connected"  #: the state in that list where :meth:`connected` returns nothing
-    open_timeout: float = 30.0  #: longest that :meth:`open` may take, s
+    unconnected: str = "not connected"  #: the state in that list where ``connected`` returns nothing
+    open_timeout: float = 30.0  #: longest that ``open`` may take, s
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
