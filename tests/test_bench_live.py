@@ -63,7 +63,7 @@ import json, sys
 from dataclasses import asdict
 from adaptiveface.bench import soak
 figures, rows = soak.soak(20 / 60, frames=12, every=0.25)
-json.dump({"samples": len(rows), "counts": rows[:, 3:].tolist(), **asdict(figures)}, sys.stdout)
+json.dump({"samples": len(rows), "counts": rows[:, [0, 3, 4]].tolist(), **asdict(figures)}, sys.stdout)
 """
 
 
@@ -74,7 +74,9 @@ def test_twenty_seconds_of_soak_leave_no_thread_and_no_handle(detector):
     assert run.returncode == 0, run.stderr
     figures = json.loads(run.stdout)
     assert figures["frames"] > 100 and figures["lost"] == 0 and figures["samples"] > 40
-    assert len(set(figures["threads"])) == len(set(figures["handles"])) == 1, figures["counts"]
+    counts = np.array([row[1:] for row in figures["counts"] if row[0] >= figures["warm_up"]])
+    # None is left over where a count never exceeds its start. Two threads of the start were seen to end after the warm-up.
+    assert (counts <= counts[0]).all(), figures["counts"]
     assert figures["memory_mib"][1] - figures["memory_mib"][0] < 60  # a frame is 2 MB, and hundreds went through
 
 
