@@ -1,7 +1,8 @@
 """Every parameter of the method, once: default, unit, range, source in the paper.
 
 A field makes the default, the command line's ``--set stage.name=value``, the slider of the notebooks and the table in the
-docs. ``Parameters()`` holds our defaults, ``Parameters.paper()`` the paper's literal values where they differ.
+docs. ``Parameters()`` holds our defaults, ``Parameters.paper()`` the nearest working reading of the paper: its values, and
+its formulas wherever they work. The paper notes in the docs list what is left, with what it costs.
 """
 
 from __future__ import annotations
@@ -58,8 +59,28 @@ class RigidParameters(Stage):
         0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10, log=True
     )
     min_matches: int = parameter(150, "fewer correspondences than this and the track is lost", low=6, high=100000)
+    stop: str = parameter(
+        "motion",
+        "ICP ends when a step moves the face little, or, as printed, once the mean distance is below ``lost``",
+        section="4.1",
+        choices=("motion", "distance"),
+        paper="distance",
+    )
+    weights: str = parameter(
+        "cosine",
+        "correspondences count by the cosine of the viewing angle, or all alike",
+        section="4.1",
+        choices=("cosine", "equal"),
+        paper="equal",
+    )
+    shape: str = parameter(
+        "blendshapes",
+        "what is aligned: the last frame's v1, or its output v4 as printed, which drifts",
+        section="4.1",
+        choices=("blendshapes", "output"),
+    )
     stiff: float = parameter(
-        4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1000, log=True
+        4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
     relocate: float = parameter(
         6.0,
@@ -83,6 +104,13 @@ class BlendshapeParameters(Stage):
     prune: float = parameter(15.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
     outlier: float = parameter(
         5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
+    )
+    weights: str = parameter(
+        "cosine",
+        "correspondences count by the cosine of the viewing angle, or all alike as in equation (1)",
+        section="4.2",
+        choices=("cosine", "equal"),
+        paper="equal",
     )
     ridge: float = parameter(10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0)
     temporal: float = parameter(
@@ -128,7 +156,12 @@ class KalmanParameters(Stage):
 
 @dataclass(frozen=True)
 class LaplacianParameters(Stage):
-    """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7)."""
+    """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7).
+
+    ``depth_term``, ``feature_rows`` and ``weights`` hold what is printed beside what works; tracking/printed.py has the
+    formulas. ``feature_weight`` and ``final_feature_weight`` belong to the ``soft`` rows; the other rows carry the weights
+    of the print.
+    """
 
     w1: float = parameter(0.1, "weight of the depth constraints", unit="1/mm^2", section="4.3", low=1e-6, high=1e3, log=True)
     w2: float = parameter(
@@ -151,7 +184,29 @@ class LaplacianParameters(Stage):
         log=True,
         paper=2.8e5,
     )
-    steps: int = parameter(1, "preconditioned conjugate-gradient steps of the depth deformation", low=1, high=50)
+    depth_term: str = parameter(
+        "point-to-plane",
+        "depth pulls along the normal, or to the depth point itself: equation (3), solved directly",
+        section="4.3",
+        choices=("point-to-plane", "point-to-point"),
+        paper="point-to-point",
+    )
+    feature_rows: str = parameter(
+        "soft",
+        "finite weights; or hard rows: equation (4) corrected, or as printed, where features move no vertex sideways",
+        section="4.3",
+        choices=("soft", "consistent", "printed"),
+        paper="consistent",
+    )
+    weights: str = parameter(
+        "energy",
+        "how w1 and w2 of equation (7) enter: on energies, on rows (squared), or not at all, as its pseudo-inverse has it",
+        section="4.3",
+        choices=("energy", "rows", "pseudo-inverse"),
+    )
+    steps: int = parameter(
+        1, "preconditioned conjugate-gradient steps of the depth deformation, point to plane", low=1, high=50
+    )
     prune: float = parameter(10.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
     final_w2: float = parameter(
         5.0,
@@ -166,6 +221,19 @@ class LaplacianParameters(Stage):
     final_feature_weight: float = parameter(
         0.02, "weight of a 2D feature there", unit="1/mm^2", section="4.4", low=0, high=1e6, log=True, paper=2.8e5
     )
+
+    @property
+    def energies(self) -> tuple[float, float]:
+        """The weights of the two quadratic energies of the depth deformation, by ``weights``."""
+        return self._energy(self.w1), self._energy(self.w2)
+
+    @property
+    def final_energies(self) -> tuple[float, float]:
+        """The same for the final deformation, which has no depth term."""
+        return 0.0, self._energy(self.final_w2)
+
+    def _energy(self, weight: float) -> float:
+        return {"energy": weight, "rows": weight**2, "pseudo-inverse": 1.0}[self.weights]
 
 
 @dataclass(frozen=True)
@@ -202,10 +270,14 @@ class AdaptivePcaParameters(Stage):
     )
     learn: bool = parameter(True, "learn correctives at all", section="5")
     min_coverage: float = parameter(
-        0.5, "share of the frontal vertices that must have depth for a frame to be learned", low=0, high=1
+        0.5, "share of the frontal vertices that must have depth for a frame to be learned", low=0, high=1, paper=0.0
     )
     max_occluded: float = parameter(
-        0.05, "share of the frontal vertices that something in front may hide in a frame to be learned", low=0, high=1
+        0.05,
+        "share of the frontal vertices that something in front may hide in a frame to be learned",
+        low=0,
+        high=1,
+        paper=1.0,
     )
 
     def __post_init__(self) -> None:

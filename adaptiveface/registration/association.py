@@ -6,7 +6,7 @@ follow from the smoothed depth and its gradient at that pixel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,6 +88,10 @@ class Correspondences:
     def count(self) -> int:
         """Number of matched points."""
         return int(np.count_nonzero(self.weights))
+
+    def alike(self) -> Correspondences:
+        """The same matches, all of weight 1."""
+        return replace(self, weights=(self.weights > 0).astype(float))
 
     @property
     def mean_distance(self) -> float:

@@ -36,13 +36,13 @@ def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 
     """u0, v0, u1, v1 of the face window: the box of ``pixels`` (n, 2) plus a margin, or a fixed square about its centre."""
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     if fixed:
-        centre = (low + high) / 2
-        low, high = centre - fixed / 2, centre + fixed / 2
+        low = np.rint((low + high - fixed) / 2)
+        high = low + fixed
     else:
-        low, high = low - margin, high + margin
+        low, high = np.floor(low - margin), np.ceil(high + margin) + 1
     size = np.array([camera.width, camera.height])
-    low = np.clip(np.floor(low), 0, size - 1).astype(int)
-    high = np.clip(np.ceil(high) + 1, low + 1, size).astype(int)
+    low = np.clip(low, 0, size - 1).astype(int)
+    high = np.clip(high, low + 1, size).astype(int)
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 

@@ -194,6 +194,8 @@ class BlendshapeFit:
         shape = self._b0 + (self._b_flat @ x.astype(np.float32)).reshape(-1, 3)
         matches = find_correspondences(surface, shape, normals, p.prune, pose)
         matched = matches.weights > 0
+        if p.weights == "equal":
+            matches = matches.alike()
         jacobian = _depth_jacobian(
             matches.points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre
         )

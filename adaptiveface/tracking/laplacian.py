@@ -9,7 +9,8 @@ The depth term acts along the normals only: depth says nothing about motion with
 form (eq. 3) holds the skin back there. Its matrix would change with every frame; the constant matrix
 A0 = w1 I + w2 L^T L bounds it from above, so conjugate gradients preconditioned with the factor of A0 (plus the features'
 rows, added exactly by the Woodbury identity) solve it in one or two steps from the previous frame's displacement. A vertex
-without depth simply has no depth row, and follows its neighbours.
+without depth simply has no depth row, and follows its neighbours. ``laplacian.depth_term`` = "point-to-point" has the
+paper's form, whose matrix is A0 itself and needs no iteration; printed.py has its targets and the printed feature rows.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def _solve_three(starts, rows, values, inverse_diagonal, order, right):
 class FeatureTerm:
     """The features' rows of one frame: for feature f with barycentric row e_f, energy sum_r w_fr (h_fr . (e_f d) - t_fr)^2.
 
-    ``index`` (f,), ``rows`` (f, r, 3) unit mm, ``targets`` (f, r) mm, ``weights`` (f, r).
+    ``index`` (f,), ``rows`` (f, r, 3) and ``targets`` (f, r), whose unit is mm unless said, ``weights`` (f, r).
     """
 
     index: np.ndarray
@@ -210,6 +211,18 @@ class LaplacianDeformation:
         at_features = np.zeros((self._response.shape[1], 3))
         np.add.at(at_features, index, forces)
         return self._response @ at_features.astype(np.float32)
+
+    def deform_to_points(self, offsets: np.ndarray, term: FeatureTerm) -> np.ndarray:
+        """Exact minimum with equation (3), w1 |d - offsets|^2, in place of the depth term along the normals: (n, 3).
+
+        ``offsets`` (n, 3) head frame, mm: p_i - v_i. Its matrix is A0, which is factorised: one direct solve.
+        """
+        without = self.system.solve(self.w1 * offsets)
+        index, rows, factor = self._feature_correction(term)
+        if len(rows) == 0:
+            return without
+        missing = term.targets.ravel() - (rows * self._at_features(without, index)).sum(axis=1)
+        return without + self._spread(index, rows * cho_solve(factor, missing, check_finite=False)[:, None])
 
     def deform(
         self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm, start: np.ndarray, steps: int

@@ -61,10 +61,10 @@ def _sizes(parameters: Parameters) -> tuple[int, int, int]:
 
 def _retune_stages(out: FaceTracker, old: Parameters, new: Parameters) -> None:
     actor = out.actor
-    if (old.laplacian.w1, old.laplacian.w2) != (new.laplacian.w1, new.laplacian.w2):
-        out.deformation = out.deformation.reweighted(new.laplacian.w1, new.laplacian.w2)
-    if old.laplacian.final_w2 != new.laplacian.final_w2:
-        out.final_deformation = out.final_deformation.reweighted(0.0, new.laplacian.final_w2)
+    if old.laplacian.energies != new.laplacian.energies:
+        out.deformation = out.deformation.reweighted(*new.laplacian.energies)
+    if old.laplacian.final_energies != new.laplacian.final_energies:
+        out.final_deformation = out.final_deformation.reweighted(*new.laplacian.final_energies)
     if old.blendshapes != new.blendshapes:
         out.fit_with(BlendshapeFit(actor, new.blendshapes))
     elif old.rigid != new.rigid:

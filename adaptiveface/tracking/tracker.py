@@ -22,7 +22,8 @@ from .feature_refinement import FeatureRefinement
 from .feature_rows import feature_rows, reprojection_errors
 from .held_out import HeldOut
 from .kalman import CoefficientFilter
-from .laplacian import LaplacianDeformation, feature_term
+from .laplacian import FeatureTerm, LaplacianDeformation, feature_term
+from .printed import depth_offsets, offsets_at_features, printed_term
 from .rigid import RigidFit, RigidTracker
 from .types import STAGE_NAMES, SampleState, TrackedFrame
 from .verdict import why_lost
@@ -46,8 +47,8 @@ class FaceTracker:
         self.kalman = CoefficientFilter(p.kalman)
         frontal, triangles = actor.frontal, actor.triangles
         rigging = (actor.neutral, triangles, frontal, actor.feature_triangles, actor.feature_weights)
-        self.deformation = LaplacianDeformation(*rigging, p.laplacian.w1, p.laplacian.w2)
-        self.final_deformation = LaplacianDeformation(*rigging, 0.0, p.laplacian.final_w2)
+        self.deformation = LaplacianDeformation(*rigging, *p.laplacian.energies)
+        self.final_deformation = LaplacianDeformation(*rigging, *p.laplacian.final_energies)
         self._frontal = np.flatnonzero(frontal)
         self._outside = np.flatnonzero(~frontal)
         self._neutral = actor.neutral[self._frontal]
@@ -158,7 +159,8 @@ class FaceTracker:
             if surface is None:
                 continue
             with timed(ms, "rigid"):
-                shape = self._v1[self.blendshapes.depth_vertices]
+                mesh = self._v4 if self.parameters.rigid.shape == "output" else self._v1
+                shape = mesh[self.blendshapes.depth_vertices]
                 fit = self.rigid.align(surface, shape, normals[self._fitted], start)
             if fit.residual < self.parameters.rigid.lost:
                 if self._agrees(frame, fit.pose):
@@ -211,13 +213,24 @@ class FaceTracker:
         matches = find_correspondences(surface, v1[self._frontal], normals, p.prune, pose)
         matches.weights[~self._may_match] = 0.0
         coverage = matches.count / max(int(self._may_match.sum()), 1)
-        term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
-        planes = matches.normals @ pose[:3, :3]
         occluded = occluded_share(surface, matches.points[::3], normals[::3] @ pose[:3, :3].T, p.prune)
+        if p.feature_rows == "soft":
+            term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
+        else:
+            rise = offsets_at_features(matches, pose, self.deformation.corners, self.deformation.shares) @ pose[2, :3]
+            term = self._printed_term(frame, pose, v1, rise)
+        if p.depth_term == "point-to-point":
+            offsets = depth_offsets(matches, pose, self._deformation)
+            return self.deformation.deform_to_points(offsets, term), coverage, occluded
+        planes = matches.normals @ pose[:3, :3]
         return self.deformation.deform(matches, planes, term, self._deformation, p.steps), coverage, occluded
 
     def _deform_to_features(self, frame: RgbdFrame, pose: np.ndarray, v3: np.ndarray) -> np.ndarray:
-        term = self._feature_term(frame, pose, v3, self.parameters.laplacian.final_feature_weight, hold_depth=True)
+        p = self.parameters.laplacian
+        if p.feature_rows == "soft":
+            term = self._feature_term(frame, pose, v3, p.final_feature_weight, hold_depth=True)
+        else:
+            term = self._printed_term(frame, pose, v3, rise=0.0)
         return self.final_deformation.deform_to_features(term)
 
     def _feature_term(self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray, weight: float, hold_depth: bool):
@@ -226,6 +239,11 @@ class FaceTracker:
         corners, share = actor.feature_triangles[rows.index], actor.feature_weights[rows.index]
         points = np.einsum("fk,fkd->fd", share, vertices[corners])
         return feature_term(rows, points, pose, frame.camera.fx, weight, hold_depth)
+
+    def _printed_term(self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray, rise) -> FeatureTerm:
+        """The features' rows of equations (4) and (5); ``rise`` (40,) mm: by how much their depth is to change."""
+        points = np.einsum("fk,fkd->fd", self.actor.feature_weights, vertices[self.actor.feature_triangles])
+        return printed_term(frame.features, frame.camera, pose, points, rise, self.parameters.laplacian)
 
     def _project(self, v2: np.ndarray) -> np.ndarray:
         frontal, outside = self.model.project(self._displacement(v2))
