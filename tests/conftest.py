@@ -18,6 +18,12 @@ import pytest  # noqa: E402
 MANNEQUIN = Path(__file__).resolve().parents[2] / "shared" / "recordings" / "mannequin_truedepth"
 
 
+def pytest_xdist_auto_num_workers(config) -> int:
+    """A worker per core for whole folders; none for single files, and none with ``-s``, whose prints workers swallow."""
+    files = [argument for argument in config.args if not Path(argument.partition("::")[0]).is_dir()]
+    return 0 if files or config.option.capture == "no" else min(os.cpu_count() or 1, 4)
+
+
 @pytest.fixture(scope="session")
 def mannequin() -> Path:
     """Folder of the real TrueDepth recording; skips where it is absent."""

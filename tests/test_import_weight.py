@@ -20,5 +20,5 @@ sys.exit(main(sys.argv[1:]))
 def test_convert_needs_nothing_else(tmp_path):
     talking_head(tmp_path / "take", 2)
     command = [sys.executable, "-c", SCRIPT, "convert", str(tmp_path / "take"), "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0 and "2 frames" in done.stdout, done.stderr

@@ -124,7 +124,7 @@ def test_the_wheel_holds_the_notebooks(tmp_path):
     for name in ("__init__.py", "lab.py", "errors.py", "assets/LICENSE-face_model.txt"):
         shutil.copy(CHECKOUT / "adaptiveface" / name, copy / "adaptiveface" / name)
     build = "from setuptools.build_meta import build_wheel; print(build_wheel('.'))"
-    run = subprocess.run([sys.executable, "-c", build], cwd=copy, capture_output=True, text=True, timeout=120)
+    run = subprocess.run([sys.executable, "-c", build], cwd=copy, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr[-2000:]
     (wheel,) = copy.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
@@ -175,7 +175,7 @@ def test_jupyterlab_starts_serves_the_notebooks_and_its_settings(tmp_path):
             urllib.request.urlopen(f"http://127.0.0.1:{port}/api/contents", timeout=5)
     finally:
         server.send_signal(signal.SIGTERM)
-        output = server.communicate(timeout=30)[0]
+        output = server.communicate(timeout=120)[0]
     assert str(folder) in output
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0  # nothing is left

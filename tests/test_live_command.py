@@ -184,7 +184,7 @@ def test_ctrl_c_ends_cleanly_and_everything_is_saved(take, tmp_path):
             assert process.poll() is None
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=120)
     finally:
         process.kill()
     assert process.returncode == 0 and "ended by Ctrl-C" in out and err == ""

@@ -186,7 +186,7 @@ def test_closing_twice_wakes_the_reader_and_stops_the_thread():
     reader.start()
     sensor.close()
     sensor.close()
-    reader.join(10)
+    reader.join(60)
     assert isinstance(raised[0], SensorError) and "closed" in str(raised[0])
     assert log == ["open", "close"] and not sensor._thread.is_alive()
 
@@ -202,7 +202,7 @@ def test_closing_does_not_wait_for_a_library_that_hangs():
     sensor.close()
     assert not release.is_set() and sensor._thread.is_alive()  # close returned although the library still hangs
     release.set()
-    sensor._thread.join(10)
+    sensor._thread.join(60)
     assert not sensor._thread.is_alive()
 
 

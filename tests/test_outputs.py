@@ -236,7 +236,7 @@ def test_a_signal_is_an_orderly_end_of_a_command(tmp_path, number, status):
     while not (tmp_path / "started").exists():
         time.sleep(0.02)
     process.send_signal(number)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == status and "Traceback" not in err and err.count("\n") == 1
     assert not (tmp_path / "r.npz").exists()
 

@@ -127,5 +127,5 @@ def test_trame_says_nothing_and_loads_no_archive(tmp_path):
     pytest.importorskip("trame_pyvista", reason="the extra 'notebooks' is not installed")
     env = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"HOME": str(tmp_path)}
     env.pop("VTK_WASM_DIR_OVERRIDE", None)
-    run = subprocess.run([sys.executable, "-c", WITHOUT_NETWORK], env=env, capture_output=True, text=True, timeout=120)
+    run = subprocess.run([sys.executable, "-c", WITHOUT_NETWORK], env=env, capture_output=True, text=True, timeout=300)
     assert run.stdout == "False\n" and "wasm" not in run.stderr, run.stdout + run.stderr

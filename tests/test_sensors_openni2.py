@@ -193,7 +193,7 @@ def test_the_player_ends_with_the_process_that_started_it(tmp_path):
     player = FilePlayer(write(tmp_path / "take.oni"))
     player.open()
     player._child.stdin.close()  # as the system does when that process is gone
-    assert player._child.wait(30) == 1
+    assert player._child.wait(120) == 1
     player.close()
 
 
@@ -219,7 +219,7 @@ file_player.main(Path({str(tmp_path / "take.oni")!r}))
     player._command = [sys.executable, "-c", code]
     with pytest.raises(SensorError, match="crashed or hung while reading it, when it was opened"):
         player.open()
-    assert player._child.wait(30) == 1
+    assert player._child.wait(120) == 1
     player.close()
 
 
@@ -244,7 +244,7 @@ def test_closing_is_quick_and_may_be_repeated(tmp_path):
         assert sensor.read(5).sequence == 1
         sensor.close()
         sensor.close()
-        sensor._thread.join(10)
+        sensor._thread.join(60)
         assert not sensor._thread.is_alive()
 
 
@@ -319,7 +319,7 @@ os._exit(0)
 def test_the_library_s_dummy_camera_streams_live():
     """A camera that can neither register nor tell its field of view, so that both are given here; everything else is
     the live path. In a process of its own, as the dummy crashes when it is closed while streaming."""
-    run = subprocess.run([sys.executable, "-c", _LIVE], capture_output=True, text=True, timeout=60)
+    run = subprocess.run([sys.executable, "-c", _LIVE], capture_output=True, text=True, timeout=300)
     if "no such OpenNI2 camera" in run.stdout + run.stderr:
         pytest.skip("this OpenNI2 has no dummy device")
     refusal, numbers, counted, images = run.stdout.strip().splitlines()[-4:]

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -80,7 +81,7 @@ def jupyter_lab(folder: Path, notebooks=(), **environment):
             yield address
         finally:
             server.terminate()
-            server.wait(20)
+            server.wait(60)
 
 
 def _wait_for(address: str, log: Path, seconds: float = 60.0) -> None:
@@ -256,7 +257,27 @@ def touch(page, *fingers: tuple, steps: int = 12) -> None:
     session.detach()
 
 
-def wait_for_change(page, locator, before: np.ndarray, least: float = 0.005, seconds: float = 15.0) -> float:
+def wait_until(page, true: Callable[[], bool], seconds: float = 30.0) -> bool:
+    """Whether ``true()`` becomes true in this time; it is asked every 150 ms."""
+    end = time.monotonic() + seconds
+    while not true():
+        if time.monotonic() > end:
+            return False
+        page.wait_for_timeout(150)
+    return True
+
+
+def wait_for_rest(page, seconds: float = 60.0) -> None:
+    """Wait until no face has changed for two seconds: what was on its way is drawn, and a playback that goes on never rests."""
+    page.wait_for_function(
+        """() => { const drawn = window.loads.face.length, now = performance.now();
+          if (window.rest?.drawn !== drawn) window.rest = {drawn, since: now};
+          return now - window.rest.since > 2000; }""",
+        timeout=1000 * seconds,
+    )
+
+
+def wait_for_change(page, locator, before: np.ndarray, least: float = 0.005, seconds: float = 60.0) -> float:
     """Share of pixels that changed, once it exceeds ``least``; 0 when that does not happen."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -67,21 +67,20 @@ def check_mouse(page, face) -> None:
     assert lab.wait_for_change(page, face, turned, least=0.03) > 0.03, "the wheel does not zoom"
     face.dblclick()
     page.mouse.move(5, 5)  # off the face: no value beside the pointer
-    page.wait_for_timeout(1000)
-    assert lab.changed(ahead, lab.pixels(face)) < 0.003, "a double click does not go back"
+    assert lab.wait_until(page, lambda: lab.changed(ahead, lab.pixels(face)) < 0.003), "a double click does not go back"
 
 
 def check_hover(page, face) -> None:
     """Under the pointer stands the value of a vertex of the kernel's; beside the face there is none."""
     bubble, box = page.locator(".adaptiveface-value").first, face.bounding_box()
     page.mouse.move(box["x"] + 0.28 * box["width"], box["y"] + 0.55 * box["height"])
-    bubble.wait_for(state="visible", timeout=5000)
+    bubble.wait_for(state="visible", timeout=30_000)
     value, _, vertex = bubble.inner_text().partition(" mm · vertex ")
     frame = "session.frames[bench.player.index]"
     told = lab.run_code(page, f"print(measures.error(bench.result, {frame}, 'v1')[{int(vertex)}])")
     assert float(value) == pytest.approx(float(told), abs=0.006)
     page.mouse.move(box["x"] + 3, box["y"] + 30)
-    bubble.wait_for(state="hidden", timeout=5000)
+    bubble.wait_for(state="hidden", timeout=30_000)
 
 
 def check_exaggeration(page, face) -> None:
@@ -91,11 +90,15 @@ def check_exaggeration(page, face) -> None:
     before = lab.pixels(face)
     slider = page.locator("input.adaptiveface-exaggeration").first
     slider.fill("10")
-    page.wait_for_timeout(500)
-    difference = np.abs(lab.pixels(face) - before).max(axis=2) > 12
-    half = difference.shape[1] // 2
-    # A page that has scrolled by part of a pixel changes some at the outline.
-    assert difference[:, :half].mean() < 0.003 < 0.01 < difference[:, half:].mean()
+
+    def differences() -> np.ndarray:
+        """(2,) share of pixels that differ, of the left and of the right head."""
+        different = np.abs(lab.pixels(face) - before).max(axis=2) > 12
+        half = different.shape[1] // 2
+        return np.array([different[:, :half].mean(), different[:, half:].mean()])
+
+    assert lab.wait_until(page, lambda: differences()[1] > 0.01), "the second head does not change"
+    assert differences()[0] < 0.003  # a page that has scrolled by part of a pixel changes some at the outline
     slider.fill("1")
 
 
@@ -112,8 +115,7 @@ def check_messages(page, face) -> None:
     lab.drag_face(page, face, (60, 20))
     page.mouse.wheel(0, -200)
     page.wait_for_function("() => window.loads.turned.length >= 5", timeout=30_000)
-    page.wait_for_timeout(300)
-    turned = lab.changed(ahead, lab.pixels(face))
+    turned = lab.wait_for_change(page, face, ahead, least=0.03)
     kernel = "window.jupyterapp.shell.currentWidget.sessionContext.session.kernel"
     assert page.evaluate(f"() => {kernel}.status") == "busy", "the kernel was to be busy all the time"
     assert page.evaluate("() => window.sent") == asked, "the kernel was asked"
@@ -141,9 +143,12 @@ def check_touch(page, face) -> None:
 
 def check_camera(page, face, turn: float, zoom: float, why: str) -> None:
     """The camera that the browser has drawn with, signs aside."""
-    page.wait_for_timeout(300)
-    shown = face.get_attribute("data-camera").split()
-    assert (abs(float(shown[0])), float(shown[2])) == pytest.approx((turn, zoom), abs=0.01), f"{why}: {shown}"
+
+    def shown() -> tuple[float, float]:
+        words = face.get_attribute("data-camera").split()
+        return abs(float(words[0])), float(words[2])
+
+    assert lab.wait_until(page, lambda: shown() == pytest.approx((turn, zoom), abs=0.01)), f"{why}: {shown()}"
 
 
 def check_playback(page, button: str) -> None:
@@ -152,10 +157,7 @@ def check_playback(page, button: str) -> None:
     page.locator(button).first.click()
     page.wait_for_function("() => window.loads.face.length > 20", timeout=60_000)  # how fast: measure.py
     page.locator(".adaptiveface-play").first.click()
-    page.wait_for_timeout(1500)
-    resting = page.evaluate("() => window.loads.face.length")
-    page.wait_for_timeout(1000)
-    assert page.evaluate("() => window.loads.face.length") == resting, "it went on after the pause"
+    lab.wait_for_rest(page)
 
 
 @pytest.mark.slow
