@@ -1,15 +1,17 @@
 """Sphinx settings: ``python -m sphinx -W docs docs/_build``, after ``python docs/execute_notebooks.py`` with outputs.
 
-``-t quick`` leaves out the pages with the source of every module, which take more than half of the time.
+``-t quick``, for tests, leaves out the pages with the source of every module, and all but a few pages of the reference.
 """
 
 import importlib.util
+import os
 import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 
+import buttons  # noqa: E402
 import generated  # noqa: E402
 
 from adaptiveface import __version__  # noqa: E402
@@ -19,8 +21,9 @@ author = "the adaptiveface developers"
 copyright = author
 release = version = __version__
 
+quick = tags.has("quick")  # noqa: F821 - Sphinx puts it here
 extensions = ["myst_nb", "sphinx.ext.autodoc", "generated", "mathml"]
-if not tags.has("quick"):  # noqa: F821 - Sphinx puts it here
+if not quick:
     extensions.append("sphinx.ext.viewcode")
 exclude_patterns = ["_build", "_executed", "_ext", "measured.md"]
 html_theme = "furo"
@@ -58,4 +61,8 @@ autodoc_mock_imports = [
     if importlib.util.find_spec(name) is None
 ]
 
-generated.write_pages(HERE)
+generated.write_pages(
+    HERE,
+    ("adaptiveface", "adaptiveface.polydata", "adaptiveface.registration.step") if quick else None,
+    buttons.repository(os.environ, (HERE.parent / "pyproject.toml").read_text(encoding="utf-8")),
+)

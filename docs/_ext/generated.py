@@ -11,21 +11,31 @@ import json
 import pkgutil
 import re
 import shutil
+from collections.abc import Collection
 from pathlib import Path
+
+import buttons
+from PIL import Image
+from sphinx.ext.napoleon import Config, NumpyDocstring
 
 import adaptiveface
 from adaptiveface import parameters
 
+#: Pixels of the pictures in the list of notebooks.
+SMALL = 640
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 
 
-def write_pages(docs: Path) -> None:
-    """Write every generated page below ``docs/_generated``; unchanged files keep their time: quick rebuilds."""
-    pages = docs / "_generated"
-    wanted = {pages / "parameters.md": parameters_page(), pages / "api" / "index.md": api_index()}
-    wanted |= {pages / "api" / f"{name}.md": module_page(name) for name in public_modules()}
+def write_pages(docs: Path, modules: Collection[str] | None = None, repository: str | None = None) -> None:
+    """Write every generated page below ``docs/_generated``; unchanged files keep their time: quick rebuilds.
+
+    ``modules``: those that get a page (default: all). ``repository``: ``OWNER/NAME`` for the notebooks' buttons.
+    """
+    pages, modules = docs / "_generated", public_modules() if modules is None else modules
+    wanted = {pages / "parameters.md": parameters_page(), pages / "api" / "index.md": api_index(modules)}
+    wanted |= {pages / "api" / f"{name}.md": module_page(name) for name in modules}
     for path in _notebooks():
-        wanted[pages / "notebooks" / path.relative_to(NOTEBOOKS)] = notebook_page(path, docs)
+        wanted[pages / "notebooks" / path.relative_to(NOTEBOOKS)] = notebook_page(path, docs, repository)
     wanted[pages / "notebooks" / "index.md"] = notebooks_index(docs)
     for old in set(pages.rglob("*.*")) - set(wanted):
         old.unlink()
@@ -35,6 +45,9 @@ def write_pages(docs: Path) -> None:
             path.write_text(text, encoding="utf-8")
     for picture in (docs / "pictures").glob("notebook_*.jpg"):
         shutil.copy(picture, pages / "notebooks")
+        with Image.open(picture) as whole:  # the list of all shows small ones
+            whole.thumbnail((SMALL, SMALL))
+            whole.save(pages / "notebooks" / f"small_{picture.name}", quality=80)
 
 
 # ---- parameters -----------------------------------------------------------------------------------------------------
@@ -89,8 +102,8 @@ def module_page(name: str) -> str:
     return f"---\norphan: true\n---\n\n# {name}\n\n```{{eval-rst}}\n{directive}```\n"
 
 
-def api_index() -> str:
-    """The list of modules, grouped by package."""
+def api_index(modules: Collection[str]) -> str:
+    """The list of modules, grouped by package; those among ``modules`` are links."""
     groups: dict[str, list[str]] = {}
     for name in public_modules():
         parts = name.split(".")
@@ -98,7 +111,9 @@ def api_index() -> str:
         groups.setdefault(parts[1] if packaged else "adaptiveface", []).append(name)
     lines = ["# Reference", "", "From the docstrings. Shapes, units and sources in the paper are given there.", ""]
     for group, names in groups.items():
-        lines += [f"## {group}", "", *(f"* [`{name}`]({name}.md): {_first_line(name)}" for name in names), ""]
+        shown = [f"[`{name}`]({name}.md)" if name in modules else f"`{name}`" for name in names]
+        rows = [f"* {text}: {_first_line(name)}" for text, name in zip(shown, names, strict=True)]
+        lines += [f"## {group}", "", *rows, ""]
     return "\n".join(lines)
 
 
@@ -119,17 +134,17 @@ def _picture(docs: Path, name: str) -> Path:
     return docs / "pictures" / f"notebook_{name.split('_')[0]}.jpg"
 
 
-def notebook_page(path: Path, docs: Path) -> str:
-    """A notebook as it is, with its screenshot under the title: panels show only in Jupyter."""
-    executed = docs / "_executed" / path.name
+def notebook_page(path: Path, docs: Path, repository: str | None = None) -> str:
+    """A notebook with its buttons under the title, as it was executed, or with its screenshot: panels show in Jupyter only."""
     own = path.parent == NOTEBOOKS
-    if own and executed.exists():  # by execute_notebooks.py: with what every cell has shown
-        return executed.read_text(encoding="utf-8")
-    notebook = json.loads(path.read_text(encoding="utf-8"))
+    executed = docs / "_executed" / path.name  # by execute_notebooks.py: with what every cell has shown
+    shown = executed if own and executed.exists() else path
+    notebook = json.loads(shown.read_text(encoding="utf-8"))
     picture = _picture(docs, path.name)
-    if own and picture.exists():
-        source = f"![This notebook in JupyterLab]({picture.name})"
-        notebook["cells"].insert(1, {"cell_type": "markdown", "id": "screenshot", "metadata": {}, "source": source})
+    if own:
+        screenshot = f"\n![This notebook in JupyterLab]({picture.name})\n" if shown is path and picture.exists() else ""
+        title, _, rest = "".join(notebook["cells"][0]["source"]).partition("\n")
+        notebook["cells"][0]["source"] = f"{title}\n\n{buttons.row(path.name, repository)}\n{screenshot}{rest}"
     return json.dumps(notebook, indent=1, ensure_ascii=False) + "\n"
 
 
@@ -150,17 +165,40 @@ def notebooks_index(docs: Path) -> str:
         for name in chosen:
             picture = _picture(docs, name)
             if "/" not in name and picture.exists():
-                lines += [f"![Notebook {name.split('_')[0]} in JupyterLab]({picture.name})", ""]
+                lines += [f"![Notebook {name.split('_')[0]} in JupyterLab](small_{picture.name})", ""]
     return "\n".join(lines)
 
 
 # ---- docstrings -----------------------------------------------------------------------------------------------------
+NAPOLEON = Config(napoleon_google_docstring=False)
 LITERAL = re.compile(r"(``.+?``|:\w+:`[^`]+`)")
 BARE_ROLE = re.compile(r"(:(?:class|func|meth|attr):`)(?=[A-Za-z])(?!adaptiveface)")
 
 
 def plain_to_rst(app, what, name, obj, options, lines: list[str]) -> None:
-    """Docstrings are plain text with ``literals``: formulas keep their stars and bars, indented blocks their layout."""
+    """Docstrings are plain text with ``literals``: formulas keep their stars and bars, indented blocks their layout.
+
+    Of NumPy's sections napoleon makes fields. It is called here, because as an extension it takes what stands before a colon
+    in the text of a constant or a property for a type.
+    """
+    starts = [n - 1 for n in range(1, len(lines)) if re.fullmatch("-{3,}", lines[n].strip())]
+    ends = [*starts[1:], len(lines)]
+    out = _plain(lines[: starts[0]] if starts else lines)
+    for start, end in zip(starts, ends if starts else (), strict=True):
+        body = lines[start + 2 : end]
+        written = _plain(body) if lines[start].strip() in ("Notes", "References") else map(_section_line, body)
+        out += [*lines[start : start + 2], *written]
+    lines[:] = NumpyDocstring(out, NAPOLEON, what="function").lines() if starts else out
+
+
+def _section_line(line: str) -> str:
+    """A line of a list of parameters; what stands at the margin is a name and its type, which napoleon escapes."""
+    text = line.lstrip()
+    return line[: len(line) - len(text)] + _escaped(text, False) if line.startswith(" ") else line
+
+
+def _plain(lines: list[str]) -> list[str]:
+    """Paragraphs, bullets and indented blocks as reStructuredText."""
     out: list[str] = []
     block = False
     for line in lines:
@@ -179,7 +217,7 @@ def plain_to_rst(app, what, name, obj, options, lines: list[str]) -> None:
         if indent and not bullet and not after_blank and not _hangs(out):
             line = line.lstrip()
         out.append(_escaped(line, bullet))
-    lines[:] = out
+    return out
 
 
 def _hangs(out: list[str]) -> bool:
