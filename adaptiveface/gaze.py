@@ -75,6 +75,15 @@ class GazeEstimator:
             gaze[:, 1] = gaze[:, 1].mean()
         return gaze
 
+    def see(self, tracked, frame) -> np.ndarray | None:
+        """:meth:`measure` in a tracked frame and the :class:`~adaptiveface.frame.RgbdFrame` that it came from.
+
+        None without a face.
+        """
+        if not tracked.tracked or frame is None:
+            return None
+        return self.measure(tracked.v4, tracked.rigid, frame.camera, frame.features)
+
     def _open(self, features: Features2D, side: int) -> bool:
         corners, pixels = _CORNER_ROWS[side], features.pixels
         if features.confidence[corners].mean() < _TURNED_AWAY:
@@ -127,9 +136,7 @@ class GazeTrack:
 
     def see(self, tracked, frame) -> np.ndarray:
         """The gaze (2, 2) in a tracked frame and the :class:`~adaptiveface.frame.RgbdFrame` that it came from."""
-        if not tracked.tracked or frame is None:
-            return self.add(None)
-        return self.add(self._estimator.measure(tracked.v4, tracked.rigid, frame.camera, frame.features))
+        return self.add(self._estimator.see(tracked, frame))
 
     @property
     def begun(self) -> bool:

@@ -20,7 +20,8 @@ from scenes import coefficients, exact_actor, head_pose, posed_shape, render_fra
 from adaptiveface import views  # noqa: E402
 from adaptiveface.errors import AdaptiveFaceError, ParameterError  # noqa: E402
 from adaptiveface.frame import FEATURE_IDS  # noqa: E402
-from adaptiveface.mesh import cotangent_laplacian, vertex_normals  # noqa: E402
+from adaptiveface.insides import make_insides, placed  # noqa: E402
+from adaptiveface.mesh import cotangent_laplacian, rotation_vector_matrix, vertex_normals  # noqa: E402
 from adaptiveface.parameters import Parameters, describe  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study  # noqa: E402
@@ -161,6 +162,61 @@ def test_the_browser_gets_what_is_shown(session):
     view.show(0, 2 * actor.neutral)
     view.refresh()
     assert np.abs(sent(view, 0)[0] - actor.neutral).max() < 0.01, "the last picture stays"
+
+
+def parts_sent(view, pane: int) -> np.ndarray:
+    """(P, 3) mm: eyes, teeth and tongue where the browser puts them."""
+    one, part = view._image.frame[pane]["inside"], np.frombuffer(view._image.geometry[pane]["inside"]["part"], np.int8)
+    rest, soft = (np.frombuffer(sent, "<i2").reshape(-1, 3) / 64 for sent in (view._image.rests[pane], one["soft"]))
+    return placed(rest, part, np.frombuffer(one["placements"], "<f4").reshape(-1, 3, 4), soft)
+
+
+def test_heads_have_eyes_teeth_and_a_tongue(session):
+    actor = session.actor
+    insides = make_insides(actor.neutral, actor.triangles)
+    jaw = actor.neutral + actor.blendshapes[actor.expression_names.index("jawOpen")]
+    gaze = np.array([[0.3, -0.1], [0.25, -0.1]])
+    view = views.FaceView.of(actor, ("still", "turned"), pane=(160, 180))
+    before = view._image.geometry
+    turn = rotation_vector_matrix(np.array([0.1, 0.4, 0.0]))
+    view.show(0, jaw, gaze=gaze)
+    view.show(1, jaw, np.full(len(jaw), np.nan), gaze=gaze, turn=turn)
+    view.refresh()
+    still, turned = parts_sent(view, 0), parts_sent(view, 1)
+    assert np.abs(still - insides.at(jaw, gaze)).max() < 0.02
+    assert np.abs(turned - ((still - view.centre) @ turn.T + view.centre)).max() < 0.05
+    assert np.abs(sent(view, 1)[0] - ((jaw - view.centre) @ turn.T + view.centre)).max() < 0.01
+    assert view._image.geometry is before, "sent once"
+    assert sum(map(len, view._image.frame[0]["inside"].values())) < 2000, "bytes a frame"
+    assert len(sent(view, 1)[1]) == len(jaw), "the heat map is of the skin"
+    shown = view.picture()[:, 160:].astype(int)
+    assert (np.ptp(shown, axis=2) > 15).sum() > 20, "skin without values is grey, its eyes are not"
+    view.close()
+
+
+def test_another_head_gets_eyes_that_fit(session):
+    actor = session.actor
+    view = views.FaceView.of(actor, ("one", "two"))
+    wider = actor.neutral * [1.05, 1.0, 1.0]
+    view.show(1, wider, neutral=wider)
+    view.refresh()
+    assert np.abs(parts_sent(view, 1) - make_insides(wider, actor.triangles).at(wider)).max() < 0.02
+    assert view._image.rests[0] != view._image.rests[1]
+    plain = views.FaceView(actor.neutral, actor.triangles[:-1])
+    assert "inside" not in plain._image.geometry[0] and "inside" not in plain._image.frame[0], "of another model"
+    for each in (view, plain):
+        each.close()
+
+
+def test_eyes_look_where_irises_were_seen(session):
+    bench = bench_of(session)
+    ahead = parts_sent(bench.view, 0)
+    bench._eyes.see = lambda result, frame: np.array([[0.4, 0.0], [np.nan, np.nan]])
+    bench.show(bench.player.index)
+    moved = np.abs(parts_sent(bench.view, 0) - ahead).max(axis=1)
+    left = make_insides(session.actor.neutral, session.actor.triangles).part == 0
+    assert moved[left].max() > 3.0 and moved[~left].max() == 0.0
+    bench.close()
 
 
 def test_a_view_hands_its_heads_to_pyvista(session):

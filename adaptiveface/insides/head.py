@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from ..mesh import boundary_loops, rigid_alignment, rotation_vector_matrix, surf
 from .parts import CAVITY, CORNEA, eyeball_mesh, strip, teeth_mesh, tongue_mesh
 
 IRIS = (92, 116, 128)
+#: The rigid parts by number, and the number of what is soft.
+PARTS = LEFT_EYE, RIGHT_EYE, UPPER, LOWER = range(4)
+SOFT = -1
 #: Skin stays this far in front of an eyeball, mm: half the sag of a lid's triangles.
 CLEARANCE = 0.35
 #: A lip's rim covers the teeth within this radius, mm.
@@ -44,25 +47,49 @@ class Insides:
     lower: np.ndarray
     jaw: Jaw
 
+    @cached_property
+    def part(self) -> np.ndarray:
+        """(P,) int8: which of the rigid :data:`PARTS` a vertex belongs to; -1 for the soft parts, which go with the skin."""
+        ball, lids = np.full(len(self.eyeball), LEFT_EYE), [np.full(2 * len(loop), SOFT) for loop in self.lid_loops]
+        pieces = [ball, lids[0], ball + (RIGHT_EYE - LEFT_EYE), lids[1]]
+        pieces += [np.full(len(self.upper), UPPER), np.full(len(self.lower), LOWER)]
+        pieces.append(np.full(len(_MOUTH) * len(self.mouth_loop) + 1, SOFT))
+        return np.concatenate(pieces).astype(np.int8)
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """(P, 3) mm: the rigid parts where their placement is the identity; zero for the soft parts."""
+        out = np.zeros((len(self.part), 3))
+        balls = [radius * self.eyeball for radius in self.eye_radii]
+        for number, points in enumerate((*balls, self.upper, self.lower)):
+            out[self.part == number] = points
+        return out
+
     def at(self, skin: np.ndarray, gaze: np.ndarray | None = None) -> np.ndarray:
         """(P, 3) mm: the parts inside a head whose skin is ``skin`` (N, 3), head frame.
 
         gaze (2, 2): yaw and pitch of the left and the right eye, rad, as :func:`gaze_rotation` takes them.
         """
+        return placed(self.rest, self.part, *self.motion(skin, gaze))
+
+    def motion(self, skin: np.ndarray, gaze: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """What moves: placements (4, 3, 4) of the rigid :data:`PARTS`, and the vertices (n, 3) mm of the soft ones."""
         turns = np.zeros((2, 2)) if gaze is None else gaze
-        pieces = []
-        for side in range(2):
+        placements, soft = np.zeros((len(PARTS), 3, 4)), []
+        for side, number in enumerate((LEFT_EYE, RIGHT_EYE)):
             centre = self.eye_centres[side] - [0.0, 0.0, self.retreat(skin, side)]
-            pieces.append(centre + self.eye_radii[side] * self.eyeball @ gaze_rotation(*turns[side]).T)
+            placements[number] = np.column_stack([gaze_rotation(*turns[side]), centre])
             rim = skin[self.lid_loops[side]]
             arm = rim - centre
             length = np.linalg.norm(arm, axis=1, keepdims=True)
-            pieces += [rim, centre + arm / length * np.minimum(0.985 * self.eye_radii[side], length)]
-        lips = skin[self.mouth_loop]
-        for row in (self.upper, self.jaw.moved(self.lower, skin - self.neutral_skin)):
-            pieces.append(row - [0.0, 0.0, teeth_retreat(row, lips)])
-        pieces.append(self._mouth(skin))
-        return np.concatenate(pieces)
+            soft += [rim, centre + arm / length * np.minimum(0.985 * self.eye_radii[side], length)]
+        lips, jaw = skin[self.mouth_loop], self.jaw.placement(skin - self.neutral_skin)
+        for number, row, placement in ((UPPER, self.upper, np.eye(3, 4)), (LOWER, self.lower, jaw)):
+            placements[number] = placement
+            moved = row @ placement[:, :3].T + placement[:, 3]
+            placements[number, 2, 3] -= teeth_retreat(moved, lips)
+        soft.append(self._mouth(skin))
+        return placements, np.concatenate(soft)
 
     def retreat(self, skin: np.ndarray, side: int) -> float:
         """Millimetres by which an eyeball gives way to the lids, as eyes do when they blink."""
@@ -75,18 +102,37 @@ class Insides:
     def _mouth(self, skin: np.ndarray) -> np.ndarray:
         rim, rest = skin[self.mouth_loop], self.neutral_skin[self.mouth_loop]
         moved, middle, rings = rim - rest, rest.mean(axis=0), []
+        smoothed = _smooth(moved)
         for depth, spread, follow, _ in _MOUTH:
             ring = rest + np.stack([np.zeros(len(rest)), spread * self.mouth_height, np.full(len(rest), -depth)], axis=1)
             ring[:, 0] = middle[0] + (rest[:, 0] - middle[0]) * (1 - 0.35 * (depth / _MOUTH[-1][0]) ** 2)
-            rings.append(ring + follow * (moved if depth < 2 else _smooth(moved)))
+            rings.append(ring + follow * (moved if depth < 2 else smoothed))
         return np.concatenate([*rings, rings[-1].mean(axis=0, keepdims=True)])
+
+
+def placed(rest: np.ndarray, part: np.ndarray, placements: np.ndarray, soft: np.ndarray) -> np.ndarray:
+    """(P, 3) mm: the parts of :class:`Insides` where :meth:`Insides.motion` says that they are."""
+    out = np.empty_like(rest)
+    for number, placement in enumerate(placements):
+        rows = part == number
+        out[rows] = rest[rows] @ placement[:, :3].T + placement[:, 3]
+    out[part == SOFT] = soft
+    return out
+
+
+def moved(motion: tuple[np.ndarray, np.ndarray], rotation: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What :meth:`Insides.motion` gives, in a head that is turned by (3, 3) and then shifted by (3,) mm."""
+    placements, soft = rotation @ motion[0], motion[1] @ rotation.T + shift
+    placements[:, :, 3] += shift
+    return placements, soft
 
 
 def teeth_retreat(row: np.ndarray, lips: np.ndarray) -> float:
     """Millimetres by which teeth (n, 3) give way to lips (m, 3) that roll in over them."""
-    apart = row[:, None] - lips
-    covered = (apart[..., :2] ** 2).sum(axis=2) < LIP_WIDTH**2
-    return float(np.max(apart[covered, 2] + CLEARANCE, initial=0.0))
+    before = row[row[:, 2] > lips[:, 2].min() - CLEARANCE]
+    apart = [before[:, None, axis] - lips[None, :, axis] for axis in range(3)]
+    covered = apart[0] ** 2 + apart[1] ** 2 < LIP_WIDTH**2
+    return float(np.max(apart[2][covered] + CLEARANCE, initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -97,11 +143,11 @@ class Jaw:
     hinge: np.ndarray
     solve: np.ndarray
 
-    def moved(self, points: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-        """Points (n, 3) of the jaw when the skin is displaced by (N, 3): opened, turned sideways, pushed forward."""
+    def placement(self, displacement: np.ndarray) -> np.ndarray:
+        """(3, 4) motion of the jaw when the skin is displaced by (N, 3): opened, turned sideways, pushed forward."""
         opened, turned, forward = self.solve @ displacement[self.chin].ravel()
         rotation = rotation_vector_matrix(np.array([opened, turned, 0.0]))
-        return self.hinge + (points - self.hinge) @ rotation.T + [0.0, 0.0, forward]
+        return np.column_stack([rotation, self.hinge - rotation @ self.hinge + [0.0, 0.0, forward]])
 
 
 def gaze_rotation(yaw: float, pitch: float) -> np.ndarray:

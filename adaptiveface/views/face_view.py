@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..actor import Actor
+from ..insides import make_insides, moved
 from ..polydata import surface
 from . import heads, still
 from .pictured import Pictured
@@ -22,6 +23,8 @@ class FaceView:
     those of signed values where the range begins below zero. ``shape`` (rows, columns) of the panes. ``centre`` (3,) mm of
     what is looked at, ``radius`` mm of what is seen of it. ``compare``: with several panes a slider enlarges their
     difference from the first one. Cameras are linked: turn, tilt and zoom act on all.
+
+    Heads of the embedded model's mesh have eyes, teeth and tongue, fitted to ``vertices``, which are somebody's neutral head.
     """
 
     def __init__(
@@ -44,9 +47,13 @@ class FaceView:
         self.centre = vertices.mean(axis=0) if centre is None else np.asarray(centre, float)
         rows, columns = shape or (1, len(titles))
         self._compare = compare and len(titles) > 1
-        self._shown = [still.Shown(vertices) for _ in titles]
+        insides = make_insides(vertices, self._triangles)
+        motion = None if insides is None else insides.motion(vertices)
+        self._shown = [still.Shown(vertices, insides=insides, motion=motion) for _ in titles]
+        self._rests = [heads.rest(insides)] * len(titles)
         self._image = heads.Heads(
-            geometry=[heads.geometry(len(vertices), self._triangles)] * len(titles),
+            geometry=[heads.geometry(len(vertices), self._triangles, insides=insides)] * len(titles),
+            rests=self._rests,
             frame=self._frame(),
             titles=list(self.titles),
             grid=[columns, rows],
@@ -66,10 +73,34 @@ class FaceView:
         centre = actor.neutral[actor.frontal].mean(axis=0)
         return cls(actor.neutral, actor.triangles, titles, centre=centre, **options)
 
-    def show(self, pane: int, vertices: np.ndarray, heat: np.ndarray | None = None) -> None:
-        """Put vertices (N, 3), head frame mm, into a pane, coloured by ``heat`` (N,); then :meth:`refresh`."""
+    def show(
+        self,
+        pane: int,
+        vertices: np.ndarray,
+        heat: np.ndarray | None = None,
+        *,
+        gaze: np.ndarray | None = None,
+        turn: np.ndarray | None = None,
+        neutral: np.ndarray | None = None,
+    ) -> None:
+        """Put vertices (N, 3), head frame mm, into a pane, coloured by ``heat`` (N,); then :meth:`refresh`.
+
+        ``gaze`` (2, 2): yaw and pitch of the left and the right eye, rad. ``turn`` (3, 3): a rotation about the view's centre.
+        ``neutral`` (N, 3): whose head it is, where it is not the one that the view began with.
+        """
         shown = self._shown[pane]
         shown.vertices, shown.heat = np.asarray(vertices, float), None if heat is None else np.asarray(heat, float)
+        motion = None
+        if shown.insides is not None:
+            if neutral is not None and not np.array_equal(neutral, shown.insides.neutral_skin):
+                shown.insides = make_insides(np.asarray(neutral, float), self._triangles)
+                self._rests[pane] = heads.rest(shown.insides)
+            motion = shown.insides.motion(shown.vertices, gaze)
+        if turn is not None:
+            shift = self.centre - turn @ self.centre
+            shown.vertices = shown.vertices @ turn.T + shift
+            motion = motion and moved(motion, turn, shift)
+        shown.motion = motion
 
     def hide_head(self, pane: int) -> None:
         """Leave only the points in a pane; then :meth:`refresh`."""
@@ -100,7 +131,9 @@ class FaceView:
     def refresh(self) -> None:
         """Send to the browser what has changed."""
         if not self._closed:
-            self._image.frame = self._frame()
+            with self._image.hold_sync():  # one message: a head never has the parts of another one
+                self._image.rests = list(self._rests)
+                self._image.frame = self._frame()
 
     def _frame(self) -> list[dict]:
         """What the browser shows, pane by pane."""
@@ -108,6 +141,8 @@ class FaceView:
         out = []
         for k, shown in enumerate(self._shown):
             one = heads.shape(shown.vertices, shown.heat, base if k else None, shown.visible)
+            if shown.motion is not None:
+                one["inside"] = heads.inside(*shown.motion)
             out.append(one | ({"points": heads.points(*shown.cloud)} if shown.cloud else {}))
         return out
 

@@ -9,6 +9,8 @@ import numpy as np
 import traitlets
 from matplotlib import colormaps
 
+from ..insides import Insides
+
 #: Lowest and highest turn and tilt, degrees, and zoom.
 BOUNDS = ((-90.0, 90.0), (-60.0, 60.0), (0.5, 3.0))
 #: Positions are sent as whole numbers of this many mm, 16 bits each: up to 512 mm from the origin of the head frame.
@@ -20,14 +22,16 @@ UNKNOWN = 65535
 class Heads(anywidget.AnyWidget):
     """Panes of heads and points on one canvas; sources in ``js/src``. Turning and zooming stay in the browser.
 
-    ``geometry``: of every pane, see :func:`geometry`; ``frame``: what every pane shows, see :func:`shape` and
-    :func:`points`. ``grid`` (columns, rows); ``pane`` (width, height) pixels; ``limits``, ``label``, ``palette`` (RGB bytes)
-    of the heat map. ``camera`` (turn, tilt in degrees, zoom) is only ever sent to the browser. ``differs``: there is a
-    difference that ``exaggeration`` can enlarge. ``name`` becomes the canvas's CSS class, for tests.
+    ``geometry``: of every pane, see :func:`geometry`; ``rests``: of every pane the rigid parts inside its head at rest, which
+    another person's head changes; ``frame``: what every pane shows, see :func:`shape`, :func:`inside` and :func:`points`.
+    ``grid`` (columns, rows); ``pane`` (width, height) pixels; ``limits``, ``label``, ``palette`` (RGB bytes) of the heat map.
+    ``camera`` (turn, tilt in degrees, zoom) is only ever sent to the browser. ``differs``: there is a difference that
+    ``exaggeration`` can enlarge. ``name`` becomes the canvas's CSS class, for tests.
     """
 
     _esm = Path(__file__).resolve().parents[1] / "assets" / "heads.js"
     geometry = traitlets.List().tag(sync=True)
+    rests = traitlets.List(traitlets.Bytes()).tag(sync=True)
     frame = traitlets.List().tag(sync=True)
     titles = traitlets.List(traitlets.Unicode()).tag(sync=True)
     grid = traitlets.List(traitlets.Int(), [1, 1]).tag(sync=True)
@@ -49,10 +53,24 @@ def palette(colourmap: str) -> bytes:
     return (colormaps[colourmap](np.linspace(0, 1, 256))[:, :3] * 255).round().astype(np.uint8).tobytes()
 
 
-def geometry(count: int, triangles: np.ndarray, colours: np.ndarray | None = None) -> dict:
+def geometry(count: int, triangles: np.ndarray, colours: np.ndarray | None = None, insides: Insides | None = None) -> dict:
     """What a pane's head is made of: number of vertices, triangles (T, 3), colours (N, 3) uint8 or None for skin."""
     own = b"" if colours is None else np.asarray(colours, np.uint8).tobytes()
-    return {"count": count, "triangles": np.asarray(triangles, np.uint32).tobytes(), "colours": own or None}
+    out = {"count": count, "triangles": np.asarray(triangles, np.uint32).tobytes(), "colours": own or None}
+    if insides is not None:
+        parts = geometry(len(insides.part), insides.triangles, insides.colours)
+        out["inside"] = parts | {"part": insides.part.tobytes()}
+    return out
+
+
+def rest(insides: Insides | None) -> bytes:
+    """Eyeballs, teeth and tongue where their placement is the identity."""
+    return b"" if insides is None else _steps(insides.rest)
+
+
+def inside(placements: np.ndarray, soft: np.ndarray) -> dict:
+    """Where what is inside a head has moved: :meth:`~adaptiveface.insides.Insides.motion`, some 2 kB instead of 18."""
+    return {"placements": np.asarray(placements, "<f4").tobytes(), "soft": _steps(soft)}
 
 
 def shape(vertices: np.ndarray, heat: np.ndarray | None, base: np.ndarray | None = None, visible: bool = True) -> dict:

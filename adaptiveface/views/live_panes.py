@@ -9,6 +9,7 @@ import numpy as np
 
 from ..actor import Actor
 from ..face_model import embedded_face_model
+from ..gaze import GazeTrack
 from ..live.session import LiveResult
 from ..mesh import surface_points, transform_points, vertex_normals
 from ..retargeting.arkit import arkit_weights
@@ -31,7 +32,7 @@ class MeshPane:
     """The tracked mesh v4 with a heat map, turned as the head is; before that, how far the neutral scan has come."""
 
     def __init__(self, size: tuple[int, int] = (360, 400)) -> None:
-        self._size, self._view, self._actor = size, None, None
+        self._size, self._view, self._actor, self._gaze = size, None, None, None
         self.heat = widgets.Dropdown(
             options=[ADDED, TO_DEPTH, PLAIN],
             description="colours",
@@ -52,9 +53,11 @@ class MeshPane:
         """A tracked frame; a frame that is not tracked leaves the last picture."""
         if self._actor is not actor:
             self._open(actor, actor.neutral, "tracked mesh v4", HEAT_LIMITS, "mm", True)
+            self._gaze = GazeTrack(actor, keep=False)
         tracked = result.tracked
+        gaze = self._gaze.see(tracked, result.frame)
         if tracked.tracked:
-            self._draw(tracked.v4, self._heat(actor, result), tracked.rigid)
+            self._draw(tracked.v4, self._heat(actor, result), tracked.rigid, gaze)
 
     def _heat(self, actor: Actor, result: LiveResult) -> np.ndarray | None:
         tracked = result.tracked
@@ -67,11 +70,11 @@ class MeshPane:
         seen = actor.frontal & actor.depth_valid & (towards > 0.2 * np.linalg.norm(vertices, axis=1))
         return np.where(seen, depth_distance(result.frame, vertices), np.nan)
 
-    def _draw(self, vertices: np.ndarray, heat: np.ndarray | None, pose: np.ndarray | None) -> None:
-        if self.follow.value and pose is not None:
-            centre = self._view.centre
-            vertices = (vertices - centre) @ (FACING @ pose[:3, :3]).T + centre
-        self._view.show(0, vertices, heat)
+    def _draw(
+        self, vertices: np.ndarray, heat: np.ndarray | None, pose: np.ndarray | None, gaze: np.ndarray | None = None
+    ) -> None:
+        turn = FACING @ pose[:3, :3] if self.follow.value and pose is not None else None
+        self._view.show(0, vertices, heat, gaze=gaze, turn=turn)
         self._view.refresh()
 
     def _open(self, owner, vertices: np.ndarray, title: str, limits, label: str, choices: bool) -> None:

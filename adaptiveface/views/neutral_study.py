@@ -131,7 +131,7 @@ class IdentityStudy(_Study):
     def draw(self) -> None:
         """Show the head of the chosen identity coefficients, coloured by its distance from the mean, mm."""
         vertices = self.model.neutral(np.array([slider.value for slider in self.sliders]))
-        self.view.show(0, vertices, np.linalg.norm(vertices - self.model.mean, axis=1))
+        self.view.show(0, vertices, np.linalg.norm(vertices - self.model.mean, axis=1), neutral=vertices)
 
 
 class ShrinkWrapStudy(_Study):
@@ -169,7 +169,7 @@ class ShrinkWrapStudy(_Study):
         self.wrap = shrink_wrap(self.scan, self.model, self.fit.vertices, parameters)
         after = self.distance(self.wrap.vertices)
         self.view.show(0, self.fit.vertices, self.distance(self.fit.vertices))
-        self.view.show(1, self.wrap.vertices, after)
+        self.view.show(1, self.wrap.vertices, after, neutral=self.wrap.vertices)
         self.note = f"after the shrink-wrap: median distance to the scan {np.nanmedian(after):.2f} mm"
         if self.truth is not None:
             self.note += f", to the true face {np.median(distance_to_truth(self.wrap.vertices, self.truth)):.3f} mm"
@@ -244,4 +244,4 @@ class ExpressionStudy(_Study):
             )
         ):
             moved = np.tensordot(x, shapes, axes=1)
-            self.view.show(pane, neutral + moved, np.linalg.norm(moved, axis=1))
+            self.view.show(pane, neutral + moved, np.linalg.norm(moved, axis=1), neutral=neutral)

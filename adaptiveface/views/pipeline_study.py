@@ -10,6 +10,7 @@ import numpy as np
 
 from ..batch import completed, dask_client
 from ..evaluation.ablation import VARIANTS, Variant
+from ..gaze import GazeEstimator
 from ..parameters import Parameters
 from .charts import GridChart
 from .face_view import FaceView
@@ -48,7 +49,7 @@ class AblationView:
             name.replace("without the adaptive space and the final deformation", "v2 as the output") for name in names
         ]
         self.view = FaceView.of(session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(300, 330))
-        self.note = widgets.HTML()
+        self._eyes, self.note = GazeEstimator(session.actor), widgets.HTML()
         self.player = Player(len(self.frames), self.show)
         self.widget = Pictured([self.view.widget, self.player.widget, self.note], self.view.picture)
         self.player.go_to(start) if start else self.show(0)
@@ -58,7 +59,9 @@ class AblationView:
         rows = []
         for pane, (variant, run, title) in enumerate(zip(self.variants, self._runs, self._titles, strict=True)):
             heat = self.measures.error(run.results[index], self.frames[index], variant.stage)
-            self.view.show(pane, getattr(run.results[index], variant.stage), heat)
+            gaze = self._eyes.see(run.results[index], self.frames[index])
+            gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead where unknown
+            self.view.show(pane, getattr(run.results[index], variant.stage), heat, gaze=gaze)
             name = title if title == variant.name else f"{title} ({variant.name})"
             rows.append(f"<tr><td style='padding-right:1em'>{name}</td><td>{np.nanmean(heat):.3f} mm</td></tr>")
         self.view.refresh()

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ..camera import Camera
+from ..insides import Insides, placed
 from ..mesh import vertex_normals
 from ..painting import paint
 from ..rendering import Light, heat_map, irradiance
@@ -21,12 +22,17 @@ DISTANCE, PIVOT_DEPTH = 700.0, 50.0
 
 @dataclass
 class Shown:
-    """What a pane shows: vertices (N, 3) with heat (N,) or None, and a cloud (positions, values, normals, size) or None."""
+    """What a pane shows: vertices (N, 3) with heat (N,) or None, and a cloud (positions, values, normals, size) or None.
+
+    ``insides``: the parts inside the head, and ``motion`` as :meth:`~adaptiveface.insides.Insides.motion` gives it.
+    """
 
     vertices: np.ndarray
     heat: np.ndarray | None = None
     visible: bool = True
     cloud: tuple | None = None
+    insides: Insides | None = None
+    motion: tuple[np.ndarray, np.ndarray] | None = None
 
 
 class Still:
@@ -62,8 +68,13 @@ def picture(still: Still, shown: Shown, triangles: np.ndarray, limits, colourmap
     if shown.visible:
         skin = np.full((len(shown.vertices), 3), SKIN)
         colours = skin if shown.heat is None else heat_map(shown.heat, limits, colourmap)
-        lit = still.lit(colours, vertex_normals(shown.vertices, triangles))
-        image = paint(still.camera, still.points(shown.vertices), np.ascontiguousarray(triangles, np.int64), lit)
+        vertices = shown.vertices
+        if shown.insides is not None:
+            triangles = np.concatenate([triangles, shown.insides.triangles + len(vertices)])
+            colours = np.concatenate([colours, shown.insides.colours])
+            vertices = np.concatenate([vertices, placed(shown.insides.rest, shown.insides.part, *shown.motion)])
+        lit = still.lit(colours, vertex_normals(vertices, triangles))
+        image = paint(still.camera, still.points(vertices), np.ascontiguousarray(triangles, np.int64), lit)
     if shown.cloud is not None and len(shown.cloud[0]):
         _dots(image, still, *shown.cloud, limits, colourmap)
     return image

@@ -10,6 +10,7 @@ import ipywidgets as widgets
 import numpy as np
 
 from ..errors import ParameterError
+from ..gaze import GazeEstimator
 from ..parameters import Parameters
 from ..polydata import correctives, surface
 from ..tracking.tracker import FaceTracker
@@ -60,6 +61,7 @@ class Workbench:
         self.session, self.panes, self.charts, self.extra = session, list(panes.values()), list(charts), extra
         self.replay = Replay(session.frames, session.actor, parameters, self._on_result, make_tracker)
         expressions = len(session.actor.blendshapes)
+        self._eyes = GazeEstimator(session.actor)
         self.panel = ParameterPanel(controls, self._change, self.replay.parameters, ranges, expressions)
         side = 300 if len(panes) > 2 else 360
         self.view = FaceView.of(
@@ -171,9 +173,11 @@ class Workbench:
         if result is None:
             return
         self.message.value = "" if result.tracked else f"frame {index}: {result.reason}"
+        gaze = self._eyes.see(result, frame)
+        gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead where unknown
         for number, pane in enumerate(self.panes):
             extra = (self.replay.parameters,) if getattr(pane, "needs_parameters", False) else ()
-            self.view.show(number, *pane(result, frame, *extra))
+            self.view.show(number, *pane(result, frame, *extra), gaze=gaze)
         self.view.refresh()
         if self.camera:
             points = result.vertices[self.session.actor.frontal][::6] if result.tracked else None

@@ -1,4 +1,4 @@
-// What stands in a pane: a head with its values, or a cloud of points.
+// What stands in a pane: a head with its values, what is inside it, or a cloud of points.
 
 import { BufferAttribute, BufferGeometry, DoubleSide, DynamicDrawUsage, Mesh, Points, ShaderMaterial, Vector3 } from "three";
 
@@ -94,11 +94,15 @@ export class Head extends Drawn {
 
   setShape({ positions, base, values, range }, bytes, factor) {
     const at = millimetres(positions, bytes);
-    const from = base && factor !== 1 ? millimetres(base, bytes) : null;
+    this.place(at, base && factor !== 1 ? millimetres(base, bytes) : null, factor);
+    this.values = decoded(values, range, bytes);
+  }
+
+  // Vertices "at", as far again from those they differ from as "factor" says.
+  place(at, from, factor) {
     if (from?.length === at.length) for (let k = 0; k < at.length; k++) at[k] = from[k] + factor * (at[k] - from[k]);
     this.geometry.getAttribute("position").array.set(at);
     this.geometry.getAttribute("position").needsUpdate = true;
-    this.values = decoded(values, range, bytes);
     this.findPlanes(at);
   }
 
@@ -129,8 +133,7 @@ export class Head extends Drawn {
     normal.needsUpdate = true;
   }
 
-  // Only what faces the camera is drawn, where WebGL runs on the processor and the time goes into triangles. (One then looks
-  // through the eyes and sees the page, not the inside of the skull.)
+  // Only what faces the camera is drawn, where WebGL runs on the processor and the time goes into triangles.
   face({ x, y, z }) {
     const { triangles, planes } = this;
     const index = this.geometry.index.array;
@@ -143,6 +146,44 @@ export class Head extends Drawn {
     }
     this.geometry.index.needsUpdate = true;
     this.geometry.setDrawRange(0, count);
+  }
+}
+
+// Eyeballs, teeth, tongue and the dark of the mouth, in colours of their own. Rigid parts are placed here, vertex by vertex;
+// where the soft ones are is said.
+export class Inside extends Head {
+  constructor(sent, bytes) {
+    super(sent, bytes);
+    this.part = new Int8Array(bytes(sent.part));
+    this.geometry.getAttribute("tint").array.set(this.own);
+    this.object.renderOrder = 1; // after the skin, which hides most of it
+  }
+
+  setRest(sent, bytes) {
+    this.rest = millimetres(sent, bytes);
+  }
+
+  setMotion(sent, base, bytes, factor) {
+    this.place(this.moved(sent, bytes), base && factor !== 1 ? this.moved(base, bytes) : null, factor);
+  }
+
+  // Rows of a placement are a rotation and a shift, 3 x 4.
+  moved({ placements, soft }, bytes) {
+    const { part, rest } = this;
+    const rows = new Float32Array(bytes(placements));
+    const free = millimetres(soft, bytes);
+    const at = new Float32Array(rest.length);
+    let next = 0;
+    for (let k = 0; k < at.length; k += 3) {
+      const r = 12 * part[k / 3];
+      for (let axis = 0; axis < 3; axis++) {
+        const row = r + 4 * axis;
+        at[k + axis] = r < 0
+          ? free[next++]
+          : rows[row] * rest[k] + rows[row + 1] * rest[k + 1] + rows[row + 2] * rest[k + 2] + rows[row + 3];
+      }
+    }
+    return at;
   }
 }
 

@@ -58,6 +58,10 @@ function render({ model, el }) {
   };
   const geometry = () => {
     stage.setGeometry(model.get("geometry"));
+    rests();
+  };
+  const rests = () => {
+    stage.setRests(model.get("rests"));
     update();
   };
   const update = () => {
@@ -75,6 +79,7 @@ function render({ model, el }) {
   if (model.get("differs")) exaggeration(foot, model);
 
   const watched = { "change:camera": draw, "change:frame": update, "change:geometry": geometry, "change:exaggeration": update };
+  watched["change:rests"] = rests;
   watched["change:palette"] = watched["change:limits"] = colours;
   for (const [name, act] of Object.entries(watched)) model.on(name, act);
   const resized = new ResizeObserver(() => stage.resize() && draw());

@@ -1,7 +1,7 @@
 // Everything that is drawn: one scene per pane, one camera for all, one canvas.
 
 import { PerspectiveCamera, Scene, WebGLRenderer } from "three";
-import { Cloud, Head } from "./drawn.js";
+import { Cloud, Head, Inside } from "./drawn.js";
 
 const DISTANCE = 700; // mm from the camera to the middle of the face
 const PIVOT = 50; // mm behind it: what the camera turns about
@@ -35,13 +35,20 @@ export class Stage {
   }
 
   setGeometry(geometry) {
-    for (const pane of this.panes) [pane.head, pane.cloud].forEach((thing) => thing?.dispose());
+    for (const pane of this.panes) [pane.head, pane.inside, pane.cloud].forEach((thing) => thing?.dispose());
     this.panes = geometry.map((one) => {
       const scene = new Scene();
       const head = one.triangles ? new Head(one, bytes) : null;
       if (head) scene.add(head.object);
-      return { scene, head, cloud: null };
+      const inside = one.inside ? new Inside(one.inside, bytes) : null;
+      if (inside) scene.add(inside.object);
+      return { scene, head, inside, cloud: null };
     });
+  }
+
+  // of every pane the rigid parts inside its head
+  setRests(rests) {
+    this.panes.forEach(({ inside }, k) => inside?.setRest(rests[k], bytes));
   }
 
   // positions and values of every pane; a head differs from "base", its own or else the first pane's
@@ -52,6 +59,10 @@ export class Stage {
         pane.head.object.visible = one.visible;
         pane.head.setShape(one, bytes, factor);
         pane.head.paint(this.colours);
+      }
+      if (pane.inside) {
+        pane.inside.object.visible = one.visible;
+        pane.inside.setMotion(one.inside, one.base && frames[0].inside, bytes, factor);
       }
       if (one.points) {
         if (!pane.cloud) pane.scene.add((pane.cloud = new Cloud()).object);
@@ -80,7 +91,7 @@ export class Stage {
       const [x, y] = [(k % this.columns) * width, (this.rows - 1 - Math.floor(k / this.columns)) * height];
       renderer.setViewport(x, y, width, height);
       renderer.setScissor(x, y, width, height);
-      if (this.software) pane.head?.face(camera.position);
+      if (this.software) [pane.head, pane.inside].forEach((thing) => thing?.face(camera.position));
       renderer.render(pane.scene, camera);
     });
   }
@@ -94,7 +105,7 @@ export class Stage {
   }
 
   close() {
-    for (const pane of this.panes) [pane.head, pane.cloud].forEach((thing) => thing?.dispose());
+    for (const pane of this.panes) [pane.head, pane.inside, pane.cloud].forEach((thing) => thing?.dispose());
     this.renderer.dispose();
     this.renderer.forceContextLoss(); // browsers keep sixteen contexts and then take the oldest away
   }

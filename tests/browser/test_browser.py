@@ -70,6 +70,22 @@ def check_mouse(page, face) -> None:
     assert lab.wait_until(page, lambda: lab.changed(ahead, lab.pixels(face)) < 0.003), "a double click does not go back"
 
 
+_LEFT_EYE = """
+from adaptiveface.views import still
+shown = bench.view._image
+seen = still.Still(tuple(shown.pane), bench.view.centre, shown.radius, *shown.camera)
+print(*(seen.camera.project(seen.points(bench.view._shown[0].insides.eye_centres))[0] / shown.pane / shown.grid))"""
+
+
+def check_eyes(page, face) -> None:
+    """The first head has an eyeball behind its lids: dark pupil and white."""
+    shown = lab.pixels(face)
+    u, v = np.array(lab.run_code(page, _LEFT_EYE).split(), float) * shown.shape[1::-1]
+    eye = shown[int(v) - 6 : int(v) + 7, int(u) - 15 : int(u) + 16]
+    white = (eye.min(axis=2) > 110) & (np.ptp(eye, axis=2) < 30)
+    assert (eye.max(axis=2) < 60).sum() >= 4 and 4 <= white.sum() < 0.5 * white.size
+
+
 def check_hover(page, face) -> None:
     """Under the pointer stands the value of a vertex of the kernel's; beside the face there is none."""
     bubble, box = page.locator(".adaptiveface-value").first, face.bounding_box()
@@ -163,6 +179,7 @@ def check_playback(page, button: str) -> None:
 @pytest.mark.slow
 def test_laplacian_sliders_and_playback(page, address):
     face, chart = workbench(page, address, LAPLACIAN)
+    check_eyes(page, face)
     check_mouse(page, face)
     check_hover(page, face)
     check_exaggeration(page, face)
