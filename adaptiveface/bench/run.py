@@ -121,7 +121,7 @@ def main(args=None) -> int:
     with threadpool_limits(limits=1):
         actor, scene = bench_scene(frames, progress=bar)
         timings = time_stages(actor, scene)
-        comparisons = compare_all(record(FaceTracker(actor), scene, min(RECORDED, frames // 2)))
+        comparisons = compare_all(record(actor, scene, min(RECORDED, frames // 2)))
     print(
         f"{timings.n_vertices} vertices, {timings.n_frontal} of them frontal; {len(timings.stage_ms)} frames, learning "
         f"on ({timings.learned} of them learned); one BLAS thread{_load()}"

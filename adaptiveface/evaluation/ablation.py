@@ -10,6 +10,8 @@ import numpy as np
 from ..actor import Actor
 from ..frame import RgbdFrame
 from ..parameters import Parameters
+from ..tracking.expression import BlendshapeFit
+from ..tracking.stages import Stages
 from ..tracking.tracker import FaceTracker
 from .run import ErrorCollector, Evaluation
 from .truth import REPEAT, GroundTruth
@@ -87,8 +89,13 @@ def ablation_table(evaluations: dict[str, Evaluation], performance: int | None =
 
 
 def _tracker(actor: Actor, parameters: Parameters, variant: Variant) -> FaceTracker:
-    tracker = FaceTracker(actor, parameters.set(**variant.changes))
-    if not variant.fit:
-        rest = np.zeros(len(tracker.blendshapes.basis))
-        tracker.blendshapes.fit = lambda surface, features, camera, pose, *_, **__: (pose, rest)
-    return tracker
+    stages = Stages() if variant.fit else Stages(blendshapes=RestingFit)
+    return FaceTracker(actor, parameters.set(**variant.changes), stages)
+
+
+class RestingFit(BlendshapeFit):
+    """A fit that leaves the pose as it is, and the face in its neutral."""
+
+    def fit(self, surface, features, camera, pose, *_, **__) -> tuple[np.ndarray, np.ndarray]:
+        """``pose`` (4, 4), and coefficients (A,) of zero."""
+        return pose, np.zeros(len(self.basis))

@@ -4,8 +4,8 @@
     exercises.POINT_TO_PLANE_STEP.check(my_function)
     exercises.POINT_TO_PLANE_STEP.hint(1)
 
-Each exercise is an :class:`Exercise`: ``grade`` runs a function on random cases with fixed seeds, ``in_tracker`` is a
-context in which the tracker calls it, ``track`` compares the tracker with and without it, ``check`` does all of this.
+Each exercise is an :class:`Exercise`: ``grade`` runs a function on random cases with fixed seeds, ``stages``
+makes the stages of a tracker that calls it, ``track`` compares the tracker with and without it, ``check`` does all of this.
 """
 
 from .bounded import BOUNDED_LEAST_SQUARES

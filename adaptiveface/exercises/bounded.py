@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ..tracking import expression
+from ..tracking.expression import BlendshapeFit
+from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array
-from .swap import replaced
 
 TASK = (
     "bounded_least_squares(h, g, lower, upper): h (A, A) symmetric positive definite, g, lower, upper (A,) "
@@ -74,13 +76,13 @@ def describe(answer, expected, case: Case) -> str:
     )
 
 
-def swap(function):
-    """The learner's solver in the blendshape fit and in the re-solve of the coefficients."""
+def make_stages(function) -> Stages:
+    """Stages with the learner's solver in the blendshape fit and in the re-solve of the coefficients."""
 
-    def solver(h, g, lower, upper, start=None, **_):
+    def solver(h, g, lower, upper, start=None):
         return as_array(function(h=h, g=g, lower=lower, upper=upper), g.shape, "x")
 
-    return replaced(expression, "bounded_least_squares", solver)
+    return Stages(blendshapes=functools.partial(BlendshapeFit, solver=solver))
 
 
 def _clipped(h, g, lower, upper):
@@ -164,7 +166,7 @@ BOUNDED_LEAST_SQUARES = Exercise(
     near,
     faults,
     describe,
-    swap,
+    make_stages,
     MISTAKES,
     hints=HINTS,
     iterative=True,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from ..parameters import Parameters
-from ..tracking import adaptive_pca
+from ..tracking.adaptive_pca import AdaptiveModel, e_step, m_step
+from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, scale_hint
-from .swap import replaced
 
 TASK = (
     "em_step(correctives, samples): M (d, k) and S (d, s) -> (Y, M): the E-step's coefficients Y (k, s) of the samples "
@@ -30,8 +32,8 @@ def random_cases(seed: int = 6, count: int = 6) -> list[Case]:
 
 def truth(correctives, samples):
     """The package's answer."""
-    y = adaptive_pca.e_step(correctives, samples)
-    return y, np.linalg.qr(adaptive_pca.m_step(samples, y))[0]
+    y = e_step(correctives, samples)
+    return y, np.linalg.qr(m_step(samples, y))[0]
 
 
 def parse(answer, case: Case) -> tuple[np.ndarray, np.ndarray]:
@@ -76,8 +78,8 @@ def describe(answer, expected, case: Case) -> str:
     return f"M spans another space (M-step): the largest angle between the two spaces is {angle:.3g} degrees"
 
 
-def swap(function):
-    """The learner's step instead of the tracker's iterations, which never leave the space of the samples.
+def make_stages(function) -> Stages:
+    """Stages with the learner's step instead of the tracker's iterations, which never leave the space of the samples.
 
     The tracker hands over S^T S and M^T S only. Any C with C^T C = S^T S holds the samples in isometric coordinates, in
     which a step is the same step: M's coordinates follow from C, and Z with C Z = M goes back.
@@ -94,7 +96,7 @@ def swap(function):
             _, case["correctives"] = parse(function(**case), case)
         return np.linalg.lstsq(samples, case["correctives"], rcond=None)[0]
 
-    return replaced(adaptive_pca, "em_in_sample_space", em_in_sample_space)
+    return Stages(adaptive_pca=functools.partial(AdaptiveModel, em=em_in_sample_space))
 
 
 def _with(e_step=None, m_step=None):
@@ -132,7 +134,7 @@ _INVERSE = (
 )
 MISTAKES = (
     Mistake(_INVERSE, _with(e_step=_plain)),
-    Mistake("the sign of Y is wrong", _with(e_step=lambda m, s: -adaptive_pca.e_step(m, s))),
+    Mistake("the sign of Y is wrong", _with(e_step=lambda m, s: -e_step(m, s))),
     Mistake(
         "Y belongs to the new M: return the coefficients that the M-step used, for the M that came in",
         lambda correctives, samples: (truth(correctives, samples)[1].T @ samples, truth(correctives, samples)[1]),
@@ -163,7 +165,7 @@ MISTAKES = (
     ),
     Mistake(
         "Y is divided by the number of samples: a projection has no mean in it",
-        _with(e_step=lambda m, s: adaptive_pca.e_step(m, s) / s.shape[1]),
+        _with(e_step=lambda m, s: e_step(m, s) / s.shape[1]),
     ),
 )
 HINTS = (
@@ -184,7 +186,7 @@ EM_STEP = Exercise(
     near,
     faults,
     describe,
-    swap,
+    make_stages,
     MISTAKES,
     _FEW_SHAPES,
     HINTS,

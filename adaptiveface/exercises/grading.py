@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import copy
 import textwrap
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..parameters import Parameters
+from ..tracking.stages import Stages
 from .calling import TIME_LIMIT, OutOfTime, call, where
 from .trial import Trial, run_trial
 
@@ -90,8 +90,8 @@ class Exercise:
     ``cases`` makes the random cases; ``truth(**case)`` the exact answer; ``parse(answer, case)`` brings an answer to a
     comparable form or raises :class:`Wrong`; ``faults(answer, case)`` names broken properties; ``near(a, b, case)``
     tells whether two parsed answers are the same; ``describe(answer, truth, case)`` says how far an unknown wrong one
-    is off; ``swap(function)`` is a context in which the tracker calls the function, None where the tracker has no use
-    for it; ``hints``: three steps, of which only the last holds a formula; ``iterative``: people solve it by iterations,
+    is off; ``make_stages(function)``: the tracker's stages, of which one calls the function, None where no stage does;
+    ``hints``: three steps, of which only the last holds a formula; ``iterative``: people solve it by iterations,
     which may diverge; ``notebook``: where it is asked; ``limit``: seconds that one call may take.
     """
 
@@ -103,7 +103,7 @@ class Exercise:
     near: Callable[[Any, Any, Case], bool]
     faults: Callable[[Any, Case], list[str]] = lambda answer, case: []
     describe: Callable[[Any, Any, Case], str] = lambda answer, truth, case: scale_hint(answer, truth)
-    swap: Callable[[Callable], AbstractContextManager] | None = None
+    make_stages: Callable[[Callable], Stages] | None = None
     mistakes: tuple[Mistake, ...] = ()
     parameters: Parameters | None = None
     hints: tuple[str, str, str] = ("", "", "")
@@ -179,26 +179,24 @@ class Exercise:
         count = f"wrong in {right.count(False)} of {len(cases)} cases"
         return f"{count}; case {first + 1}: {self.describe(answers[first], truths[first], cases[first])}"
 
-    @contextmanager
-    def in_tracker(self, function: Callable) -> Iterator[None]:
-        """Context in which every tracker calls ``function``; the package's own is back on exit, also after errors."""
-        if self.swap is None:
+    def stages(self, function: Callable) -> Stages:
+        """Stages for a tracker that calls ``function`` instead of the package's own: ``FaceTracker(actor, stages=...)``."""
+        if self.make_stages is None:
             raise ParameterError(f"{self.name}: the tracker calls no such function")
-        with self.swap(function):
-            yield
+        return self.make_stages(function)
 
     def track(self, function: Callable, images=None, actor=None, parameters=None, frames: int = 16) -> Trial:
-        """Track ``frames`` frames with ``function`` in place and with the package's own, and compare.
+        """Track ``frames`` frames with ``function`` and with the package's own, and compare.
 
         ``images`` (list of :class:`~adaptiveface.frame.RgbdFrame`) of ``actor``: a built-in performance when None.
         ``parameters``: those of the exercise when None.
         """
-        return run_trial(lambda: self.in_tracker(function), images, actor, parameters or self.parameters, frames)
+        return run_trial(self.stages(function), images, actor, parameters or self.parameters, frames)
 
     def check(self, function: Callable, **options) -> Report:
         """Grade ``function`` and, if it is right, track with it (``options`` as in :meth:`track`)."""
         grade = self.grade(function)
-        return Report(grade, self.track(function, **options) if grade.passed and self.swap else None)
+        return Report(grade, self.track(function, **options) if grade.passed and self.make_stages else None)
 
 
 #: Said of a function that takes too long.

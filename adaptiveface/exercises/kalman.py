@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..tracking.kalman import CoefficientFilter
+from ..tracking.kalman import CoefficientFilter, FilterState
+from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake
 from .pairs import close, packed
-from .swap import replaced
 
 TASK = (
     "kalman_step(state, covariance, measured, process_noise, measurement_noise): state (2, A), the A coefficients and their "
@@ -69,23 +69,18 @@ def parse(answer, case: Case) -> np.ndarray:
     return packed(answer, (("state", case["state"].shape), ("covariance", (2, 2))))
 
 
-def swap(function):
-    """The learner's step in the tracker's filter (variances, time in frames)."""
+def make_stages(function) -> Stages:
+    """Stages with the learner's step in the filter (variances, time in frames)."""
 
-    def update(self, measured):
-        if self._state is None:
-            self._state = np.stack([measured, np.zeros_like(measured)])
-            return measured
-        self._state, self._covariance = function(
-            state=self._state,
-            covariance=self._covariance,
-            measured=measured,
-            process_noise=float(self._q[0, 0]),
-            measurement_noise=self._r,
-        )
-        return self._state[0]
+    class Learners(CoefficientFilter):
+        """The filter with the learner's step."""
 
-    return replaced(CoefficientFilter, "update", update)
+        def correct(self, state, measured):
+            """As the package's, by the learner's function."""
+            noises = dict(process_noise=self.process_noise, measurement_noise=self.measurement_noise)
+            return FilterState(*function(state=state.mean, covariance=state.covariance, measured=measured, **noises))
+
+    return Stages(kalman=Learners)
 
 
 def _by(**switches):
@@ -129,7 +124,7 @@ KALMAN_STEP = Exercise(
     kalman_step,
     parse,
     close,
-    swap=swap,
+    make_stages=make_stages,
     mistakes=MISTAKES,
     hints=HINTS,
     notebook="04_blendshape_fit",

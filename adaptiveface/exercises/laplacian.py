@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..tracking.laplacian import LaplacianDeformation
+from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, as_array, scale_hint
-from .swap import replaced
 
 TASK = (
     "right_hand_side(distances, normals, weights, w1, features): b (n, 3) of A d = b, the minimum of w1 sum_i "
@@ -145,16 +145,19 @@ def _feature_variants(case):
         yield words, sign * _features(case, weights=weight, shares=share)
 
 
-def swap(function):
-    """The learner's right-hand side in both Laplacian deformations that use depth."""
+def make_stages(function) -> Stages:
+    """Stages with the learner's right-hand side in the deformation that uses depth."""
 
-    def right_hand_side(self, matches, normals, term):
-        """As the method's, by the learner's function."""
-        features = FeaturePull(self.corners[term.index], self.shares[term.index], term.rows, term.targets, term.weights)
-        answer = function(distances=matches.distances, normals=normals, weights=matches.weights, w1=self.w1, features=features)
-        return as_array(answer, normals.shape, "b")
+    class Learners(LaplacianDeformation):
+        """The deformation with the learner's right-hand side."""
 
-    return replaced(LaplacianDeformation, "right_hand_side", right_hand_side)
+        def right_hand_side(self, matches, normals, term):
+            """As the method's, by the learner's function."""
+            pull = FeaturePull(self.corners[term.index], self.shares[term.index], term.rows, term.targets, term.weights)
+            answer = function(distances=matches.distances, normals=normals, weights=matches.weights, w1=self.w1, features=pull)
+            return as_array(answer, normals.shape, "b")
+
+    return Stages(deformation=Learners.of)
 
 
 def _parts(depth, features):
@@ -242,7 +245,7 @@ RIGHT_HAND_SIDE = Exercise(
     near,
     lambda answer, case: [],
     describe,
-    swap,
+    make_stages,
     MISTAKES,
     hints=HINTS,
     notebook="05_laplacian_deformation",

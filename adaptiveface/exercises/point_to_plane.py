@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+
 import cv2
 import numpy as np
 
 from ..mesh import rigid_alignment, rotation_vector_matrix
-from ..tracking import rigid
+from ..tracking.rigid import RigidTracker
+from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array
-from .swap import replaced
 
 TASK = (
     "point_to_plane_step(points, targets, normals, weights): points v_i (n, 3), the depth points p_i (n, 3) "
@@ -122,8 +124,8 @@ def _energy(step, points, targets, normals, weights) -> float:
     return float(weights @ np.einsum("nd,nd->n", normals, moved - targets) ** 2)
 
 
-def swap(function):
-    """The tracker's step by the learner's function: points, foot points of the matches, normals and weights."""
+def make_stages(function) -> Stages:
+    """Stages whose rigid step is the learner's function: points, foot points of the matches, normals and weights."""
 
     def step(points, correspondences, centre, vertex_weights):
         """As the tracker's, by the learner's function."""
@@ -141,7 +143,7 @@ def swap(function):
         turn = cv2.Rodrigues(rotation)[0].ravel()
         return np.concatenate([turn, rotation @ centre + translation - centre])
 
-    return replaced(rigid, "point_to_plane_step", step)
+    return Stages(rigid=functools.partial(RigidTracker, solve=step))
 
 
 def _negative(**case):
@@ -225,7 +227,7 @@ POINT_TO_PLANE_STEP = Exercise(
     near,
     faults,
     describe,
-    swap,
+    make_stages,
     MISTAKES,
     hints=HINTS,
     notebook="03_rigid_tracking",

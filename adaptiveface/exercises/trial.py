@@ -1,11 +1,9 @@
-"""The tracker with a learner's function in place: a short performance with known truth, tracked twice."""
+"""The tracker with a learner's function among its stages: a short performance with known truth, tracked twice."""
 
 from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +14,8 @@ from ..face_model import embedded_face_model
 from ..frame import Features2D, RgbdFrame
 from ..mesh import rotation_vector_matrix, surface_points, transform_points
 from ..rendering import ray_cast
+from ..tracking.stages import Stages
+from ..tracking.tracker import FaceTracker
 
 CAMERA = Camera(400, 320, 400.0, 400.0, 199.5, 159.5)
 
@@ -109,16 +109,16 @@ def built_in_performance() -> BuiltInPerformance:
     return BuiltInPerformance()
 
 
-def run_trial(in_place: Callable[[], AbstractContextManager], images, actor, parameters, frames: int) -> Trial:
-    """Track with and without the context ``in_place()``; see :meth:`Exercise.track`."""
+def run_trial(stages: Stages, images, actor, parameters, frames: int) -> Trial:
+    """Track with the package's own stages and with ``stages``; see :meth:`Exercise.track`."""
     performance = None
     if images is None:
         performance = built_in_performance()
         images, actor = [performance.read(index) for index in range(frames)], performance.actor
     images = images[:frames]
-    package, package_ms = _run(nullcontext, images, actor, parameters)
+    package, package_ms = _run(None, images, actor, parameters)
     try:
-        own, ms = _run(in_place, images, actor, parameters)
+        own, ms = _run(stages, images, actor, parameters)
     except Exception as error:  # noqa: BLE001 - whatever the learner's code raises belongs into the answer
         return Trial(len(images), 0, np.nan, np.nan, np.nan, np.nan, package_ms, f"{type(error).__name__}: {error}")
     region = actor.frontal & actor.depth_valid
@@ -131,16 +131,13 @@ def run_trial(in_place: Callable[[], AbstractContextManager], images, actor, par
     return Trial(len(images), sum(result.tracked for result in own), own_error, package_error, difference, ms, package_ms)
 
 
-def _run(in_place, images, actor: Actor, parameters) -> tuple[list, float]:
-    from ..tracking.tracker import FaceTracker
-
-    tracker = FaceTracker(actor, parameters)
+def _run(stages: Stages | None, images, actor: Actor, parameters) -> tuple[list, float]:
+    tracker = FaceTracker(actor, parameters, stages)
     results, times = [], []
-    with in_place():
-        for image in images:
-            start = time.perf_counter()
-            results.append(tracker.track(image))
-            times.append((time.perf_counter() - start) * 1e3)
+    for image in images:
+        start = time.perf_counter()
+        results.append(tracker.track(image))
+        times.append((time.perf_counter() - start) * 1e3)
     return results, float(np.median(times))  # the first frame may compile kernels
 
 

@@ -12,9 +12,8 @@ from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeo
 from ..parameters import Parameters
 from ..sensors.live import LiveFrame
 from ..tracking.adaptive_pca import AdaptiveModel
+from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
-from ..tracking.retune import retuned
-from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
 from .feed import FeatureFeed
 from .statistics import LiveStatistics, Meter
@@ -60,7 +59,7 @@ class LiveSession:
         self._tracker = self._make_tracker(actor)
         self._callbacks = tuple(on_result)
         self._changed = threading.Condition()
-        self._replacement: FaceTracker | None = None
+        self._replacement: Tracker | None = None
         self._forget_learned = self._closed = False
         self._latest: LiveResult | None = None
         self._count = self._failures = 0
@@ -200,7 +199,7 @@ class LiveSession:
         self._publish(frame, self._track(frame))
         return True
 
-    def _make_tracker(self, actor: Actor) -> FaceTracker:
+    def _make_tracker(self, actor: Actor) -> Tracker:
         return make_tracker(actor, self._wanted(), self.feed.sensor.colour_only)
 
     def _wanted(self) -> Parameters:
@@ -217,7 +216,7 @@ class LiveSession:
             tracker.model.reset()
         if tracker.parameters != parameters:
             try:
-                tracker = retuned(tracker, parameters)
+                tracker = tracker.with_parameters(parameters)
             except Exception as error:
                 self._report(_packaged("these parameters cannot be used", error))
                 with self._changed:

@@ -8,6 +8,8 @@ projected mesh has no seam.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..actor import Actor
@@ -69,14 +71,25 @@ def em_in_sample_space(gram: np.ndarray, coefficients: np.ndarray, steps: int) -
     return z
 
 
+#: (gram (s, s), coefficients (k, s), steps) -> Z (s, k).
+EmIterations = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+
+
 class AdaptiveModel:
     """M = [M_A, M_K]: projection (section 4.3) and learning (section 5).
 
     Learned state: ``correctives`` (3n, k <= K) orthonormal and orthogonal to ``anchors`` (3n, a); ``updates``.
+    ``em``: the EM iterations of one update, as :func:`em_in_sample_space` makes them.
     """
 
-    def __init__(self, actor: Actor, blendshapes: np.ndarray, parameters: AdaptivePcaParameters) -> None:
-        self.parameters = parameters
+    def __init__(
+        self,
+        actor: Actor,
+        blendshapes: np.ndarray,
+        parameters: AdaptivePcaParameters,
+        em: EmIterations = em_in_sample_space,
+    ) -> None:
+        self.parameters, self._em = parameters, em
         self.frontal = actor.frontal
         self.anchors, self._anchor_mix = anchor_shapes(blendshapes[:, self.frontal].reshape(len(blendshapes), -1))
         self._anchor_rows = np.ascontiguousarray(self.anchors.T, np.float32)
@@ -216,7 +229,7 @@ class AdaptiveModel:
         # Samples that do not reach every corrective make Y Y^T singular: wait for more of them.
         if np.linalg.eigvalsh(coordinates.T @ coordinates)[0] <= 1e-12 * np.trace(gram):
             return
-        self._take(em_in_sample_space(gram, coordinates.T, self.parameters.em_steps))
+        self._take(self._em(gram, coordinates.T, self.parameters.em_steps))
         self.updates += 1
 
     def _take(self, mix: np.ndarray) -> None:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..caches.compiled import compiled
+
+#: (H (A, A), g (A,), lower (A,), upper (A,), start (A,) or None) -> x (A,), as :func:`bounded_least_squares`.
+BoundedSolver = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
 
 
 @compiled

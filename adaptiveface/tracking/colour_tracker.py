@@ -9,7 +9,7 @@ motion along the viewing direction, and everything between the features. Nothing
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,10 +18,12 @@ from ..camera import Camera
 from ..frame import Features2D, RgbdFrame
 from ..mesh import transform_points
 from ..parameters import Parameters
+from .base import Tracker, timed
 from .detection import pose_from_features
 from .expression import HeldPose
 from .feature_rows import reprojection_errors
-from .tracker import FaceTracker, timed
+from .stages import Stages
+from .tracker import FaceTracker
 from .types import STAGE_NAMES, SampleState, TrackedFrame
 from .verdict import NO_FACE
 
@@ -43,26 +45,22 @@ SHARE = 0.3
 CERTAIN = 5e-5 * REFERENCE_FOCAL**2
 
 
-class ColourTracker(FaceTracker):
-    """As :class:`FaceTracker`, on frames without depth. Section 4 with equation (1)'s feature rows only and w1 = 0."""
+class ColourTracker(Tracker):
+    """Section 4 on frames without depth: equation (1)'s feature rows only, and w1 = 0. It learns no correctives."""
 
-    def __init__(self, actor: Actor, parameters: Parameters | None = None) -> None:
+    def __init__(self, actor: Actor, parameters: Parameters | None = None, stages: Stages | None = None) -> None:
         given, self.landmarks = actor, None if actor.landmarks is None else actor.landmarks.fitted
         if self.landmarks is not None:
             # The 40 serve where a frame has no landmarks: recorded or synthetic ones.
             triangles = np.concatenate([actor.feature_triangles, self.landmarks.triangles])
             weights = np.concatenate([actor.feature_weights, self.landmarks.weights])
-            actor = dataclasses.replace(actor, feature_triangles=triangles, feature_weights=weights)
-        super().__init__(actor, parameters)
+            actor = replace(actor, feature_triangles=triangles, feature_weights=weights)
+        super().__init__(actor, parameters, stages)
         self.given = given
-
-    def refine_with(self, parameters: Parameters) -> None:
-        """The refinement of the 40 by the neutral's colours is for trackers that know the pose by depth."""
-        self.refinement = None
 
     def track(self, frame: RgbdFrame) -> TrackedFrame:
         """Pose and expression of one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
-        ms = dict.fromkeys(STAGE_NAMES, 0.0)
+        last, ms = self.state, dict.fromkeys(STAGE_NAMES, 0.0)
         if frame.features is None or frame.features.valid.sum() < MIN_FEATURES:
             return self._lose(frame, ms, NO_FACE)
         face, camera, frame = frame.features.face, frame.camera, self._observed(frame)
@@ -71,24 +69,24 @@ class ColourTracker(FaceTracker):
         if pose is None:
             return self._lose(frame, ms, "no pose of the head explains the features")
         with timed(ms, "blendshapes"):  # equations (1) and (2) without the depth term
-            x = self._x
-            held = None if self.pose is None else HeldPose(self.pose, TURN, SHIFT)
+            x = last.coefficients
+            held = None if self.state.pose is None else HeldPose(self.state.pose, TURN, SHIFT)
             for _ in range(rounds):
                 pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None, held)
-            x = self._settled(x)  # after the pose: features alone move it too far for coefficients that lag
+            x = self._filtered(x)  # after the pose: features alone move it too far for coefficients that lag
             v1 = self.blendshapes.shape(x)
         if not in_front(pose) or self._error(frame, pose, x) > 2.0 * self.parameters.rigid.relocate:
             return self._lose(frame, ms, "the face in the picture does not fit the head")
         with timed(ms, "laplacian"):  # section 4.3 with w1 = 0 is the step of section 4.4
-            v2 = self._displace(v1, self._deform_to_features(frame, pose, v1))
+            v2 = self._deform_to_features(frame, pose, v1)
         with timed(ms, "projection"):
             v3 = self._project(v2)
         with timed(ms, "final_deformation"):
-            v4 = self._displace(v3, self._deform_to_features(frame, pose, v3))
+            v4 = self._deform_to_features(frame, pose, v3)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
-        self.pose, self._x, self._v1 = pose, x, v1
-        anchor, adaptive = self.model.distances(self._displacement(v2))
+        self.state = replace(self.state, pose=pose, coefficients=x, v1=v1, v4=v4)
+        anchor, adaptive = self.model.distances(self.region.displacement(v2))
         return TrackedFrame(
             frame.index,
             frame.timestamp,
@@ -116,20 +114,21 @@ class ColourTracker(FaceTracker):
         features, landmarks, forty = frame.features, self.landmarks, len(frame.features.confidence)
         pixels, trust, own = np.full((len(landmarks), 2), np.nan), np.zeros(len(landmarks)), features.confidence
         if features.face is not None:
-            points = self.blendshapes.feature_points(self._x)[:forty]
+            points = self.blendshapes.feature_points(self.state.coefficients)[:forty]
             pose = self.pose if self.pose is not None else pose_from_features(frame, points)
             if pose is not None:
                 pixels, own = landmarks.pixels(features) - landmarks.slides(pose, frame.camera), np.zeros(forty)
                 trust = np.minimum(SHARE / CERTAIN * landmarks.trust(pose), 1.0)
         joined = Features2D(np.concatenate([features.pixels, pixels]), np.concatenate([own, trust]))
-        return dataclasses.replace(frame, features=joined)
+        return replace(frame, features=joined)
 
     def _find_pose(self, frame: RgbdFrame) -> tuple[np.ndarray | None, int]:
         """The last pose where it still fits roughly, else one from the features (perspective-n-point); fit rounds."""
-        if self.pose is not None and self._error(frame, self.pose, self._x) < 5.0 * self.parameters.rigid.relocate:
-            return self.pose, 1
-        self.pose = None  # it is not held where it was wrong
-        return pose_from_features(frame, self.blendshapes.feature_points(self._x)), FIRST_ROUNDS
+        pose, x = self.state.pose, self.state.coefficients
+        if pose is not None and self._error(frame, pose, x) < 5.0 * self.parameters.rigid.relocate:
+            return pose, 1
+        self.state = replace(self.state, pose=None)  # it is not held where it was wrong
+        return pose_from_features(frame, self.blendshapes.feature_points(x)), FIRST_ROUNDS
 
     def _error(self, frame: RgbdFrame, pose: np.ndarray, x: np.ndarray) -> float:
         """Median distance of the features in the picture from the model's, px at the reference focal length."""
@@ -160,11 +159,11 @@ def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
     alone = np.minimum(ALONE * frame.features.confidence, 1.0)
     face = frame.features.face
     if face is not None:
-        face = dataclasses.replace(face, mesh=face.mesh * scale)
+        face = replace(face, mesh=face.mesh * scale)
     features = Features2D(frame.features.pixels * scale, TRUST * alone, face)
-    return dataclasses.replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
+    return replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
 
 
-def make_tracker(actor: Actor, parameters: Parameters | None = None, colour_only: bool = False) -> FaceTracker:
+def make_tracker(actor: Actor, parameters: Parameters | None = None, colour_only: bool = False) -> Tracker:
     """The tracker for a source: with depth, or for one that says ``colour_only`` the degraded one without."""
     return ColourTracker(actor, parameters) if colour_only else FaceTracker(actor, parameters)

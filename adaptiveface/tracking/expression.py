@@ -18,7 +18,7 @@ from ..parameters import BlendshapeParameters
 from ..registration.association import find_correspondences
 from ..registration.step import apply_rigid_update
 from ..registration.surface import DepthSurface
-from .bounded import bounded_least_squares, sparse_least_squares
+from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
 from .feature_rows import feature_rows
 
 #: (a x b)_i = CROSS_ijk a_j b_k
@@ -105,12 +105,15 @@ class BlendshapeFit:
 
     Departures from the paper, both measured (paper-notes in the docs): the rigid pose is solved together with the
     coefficients (``joint_pose``), because an expression biases a pose that is found alone; a ridge and a temporal penalty
-    keep coefficients that the data do not determine from wandering.
+    keep coefficients that the data do not determine from wandering. ``solver`` solves the bounded problems.
     """
 
-    def __init__(self, actor: Actor, parameters: BlendshapeParameters) -> None:
+    #: How rows enter the normal equations; a subclass may look at them on their way.
+    add_rows = staticmethod(add_rows)
+
+    def __init__(self, actor: Actor, parameters: BlendshapeParameters, solver: BoundedSolver = bounded_least_squares) -> None:
         count = min(parameters.A, len(actor.blendshapes))
-        self.parameters = parameters
+        self.parameters, self._solver = parameters, solver
         self.neutral = actor.neutral
         self.basis = actor.blendshapes[:count]
         #: Every so many of the vertices that may take a depth correspondence, and their part of b0 and B.
@@ -159,7 +162,7 @@ class BlendshapeFit:
             equations, centre = self._assemble(surface, features, camera, pose, x, previous, normals)
             if held is not None:
                 held.add_to(equations, pose, self._middle)
-            x, update_for = self._solve(equations, x)
+            x, update_for = self.solve(equations, x)
             if number == 1 and settle is not None:
                 x = settle(x)
             if self.parameters.joint_pose:
@@ -181,7 +184,7 @@ class BlendshapeFit:
             lever = transform_points(pose, points) - centre
             turn = np.einsum("abc,fb,frc->fra", CROSS, lever, in_camera)
             jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
-            add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
+            self.add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
         stiff = p.ridge * (1.0 if surface is None else p.turned ** turned_away(pose, centre))
         ridge = np.concatenate([np.full(6, 1e-6), np.full(count, stiff + p.temporal)])
         equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
@@ -202,9 +205,9 @@ class BlendshapeFit:
         distances = matches.distances[matched]
         # Each stands for ``every`` vertices, so that w keeps its meaning.
         weights = p.every * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
-        add_rows(equations, jacobian, distances, weights, current)
+        self.add_rows(equations, jacobian, distances, weights, current)
 
-    def _solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable]:
+    def solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable]:
         """Eliminate the unbounded pose update (Schur complement) and solve the bounded coefficients.
 
         Returns them (A,), and the function that substitutes coefficients back: the pose update (6,) that fits them best.
@@ -212,10 +215,10 @@ class BlendshapeFit:
         h, g, count = equations.h, equations.g, len(x)
         lower, upper = np.full(count, self.parameters.lower), np.full(count, self.parameters.upper)
         if not self.parameters.joint_pose:
-            return bounded_least_squares(h[6:, 6:], g[6:], lower, upper, x), lambda x: np.zeros(6)
+            return self._solver(h[6:, 6:], g[6:], lower, upper, x), lambda x: np.zeros(6)
         eliminated = np.linalg.solve(h[:6, :6], np.column_stack([h[:6, 6:], g[:6]]))
         reduced = h[6:, 6:] - h[6:, :6] @ eliminated[:, :-1]
-        x = bounded_least_squares(reduced, g[6:] - h[6:, :6] @ eliminated[:, -1], lower, upper, x)
+        x = self._solver(reduced, g[6:] - h[6:, :6] @ eliminated[:, -1], lower, upper, x)
         return x, lambda x: eliminated[:, -1] - eliminated[:, :-1] @ x
 
     def resolve(self, vertices: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -226,16 +229,16 @@ class BlendshapeFit:
         displacement = (vertices[self._frontal] - self.neutral[self._frontal]).ravel().astype(np.float32)
         lower, upper = np.full(len(x), self.parameters.lower), np.full(len(x), self.parameters.upper)
         h = self._frontal_gram + self.parameters.ridge * np.eye(len(x))
-        return few_coefficients(h, self._frontal_basis @ displacement, self._penalty, lower, upper, x)
+        return few_coefficients(h, self._frontal_basis @ displacement, self._penalty, lower, upper, x, self._solver)
 
 
-def few_coefficients(h, g, penalty, lower, upper, start) -> np.ndarray:
+def few_coefficients(h, g, penalty, lower, upper, start, solver: BoundedSolver = bounded_least_squares) -> np.ndarray:
     """(A,) the minimum of x^T H x / 2 - g^T x + sum_k penalty_k |x_k| within bounds (A,); ``start`` (A,) or None.
 
-    Where no coefficient may be negative, the penalty is linear, and the plain bounded solver does it.
+    Where no coefficient may be negative, the penalty is linear, and the plain bounded ``solver`` does it.
     """
     if (lower >= 0.0).all():
-        return bounded_least_squares(h, g - penalty, lower, upper, start)
+        return solver(h, g - penalty, lower, upper, start)
     return sparse_least_squares(h, g, penalty, lower, upper, start)
 
 

@@ -2,9 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..parameters import KalmanParameters
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """What the filter knows after a frame.
+
+    Attributes
+    ----------
+    mean : (2, A) float
+        The A coefficients and their velocities, per frame or per second as the model says.
+    covariance : (2, 2) float
+        The same for every coefficient.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """(A,) the filtered coefficients."""
+        return self.mean[0]
 
 
 class CoefficientFilter:
@@ -21,30 +44,35 @@ class CoefficientFilter:
 
     def __init__(self, parameters: KalmanParameters) -> None:
         dt = 1.0 if parameters.model == "variance" else 1.0 / 30.0
-        q = parameters.process_noise
+        self.process_noise, self.measurement_noise = parameters.process_noise, parameters.measurement_noise
+        q = self.process_noise
         self._transition = np.array([[1.0, dt], [0.0, 1.0]])
         self._q = q * np.eye(2)
         if parameters.model == "acceleration":
             self._q = q * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
-        self._r = parameters.measurement_noise
         self._off = parameters.model == "off"
-        self.reset()
+        #: What :meth:`update` knows from the frames before; None before the first one.
+        self.state: FilterState | None = None
 
     def reset(self) -> None:
         """Forget the past (first frame, or the track was lost)."""
-        self._state: np.ndarray | None = None
-        self._covariance = np.eye(2)
+        self.state = None
 
     def update(self, measured: np.ndarray) -> np.ndarray:
         """Filter the coefficients (A,) of one frame; returns (A,)."""
-        if self._off:
-            return measured
-        if self._state is None:
-            self._state = np.stack([measured, np.zeros_like(measured)])
-            return measured
-        predicted = self._transition @ self._state
-        covariance = self._transition @ self._covariance @ self._transition.T + self._q
-        gain = covariance[:, 0] / (covariance[0, 0] + self._r)
-        self._state = predicted + np.outer(gain, measured - predicted[0])
-        self._covariance = covariance - np.outer(gain, covariance[0])
-        return self._state[0]
+        self.state = self.step(self.state, measured)
+        return self.state.coefficients
+
+    def step(self, state: FilterState | None, measured: np.ndarray) -> FilterState:
+        """The state after a frame with coefficients ``measured`` (A,), from the ``state`` before it."""
+        if self._off or state is None:
+            return FilterState(np.stack([measured, np.zeros_like(measured)]), np.eye(2))
+        return self.correct(state, measured)
+
+    def correct(self, state: FilterState, measured: np.ndarray) -> FilterState:
+        """Prediction and correction of one frame (Welch & Bishop 1995), without the special cases of :meth:`step`."""
+        predicted = self._transition @ state.mean
+        covariance = self._transition @ state.covariance @ self._transition.T + self._q
+        gain = covariance[:, 0] / (covariance[0, 0] + self.measurement_noise)
+        mean = predicted + np.outer(gain, measured - predicted[0])
+        return FilterState(mean, covariance - np.outer(gain, covariance[0]))

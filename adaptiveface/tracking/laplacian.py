@@ -16,6 +16,7 @@ paper's form, whose matrix is A0 itself and needs no iteration; printed.py has i
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +24,14 @@ import scipy.sparse as sp
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import splu
 
+from ..actor import Actor
 from ..caches.compiled import compiled
 from ..mesh import cotangent_laplacian
 from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
+
+#: L (N, N) of a mesh: ``laplacian(vertices (N, 3), triangles (T, 3))``.
+LaplacianOperator = Callable[[np.ndarray, np.ndarray], sp.spmatrix]
 
 
 class PrefactoredSystem:
@@ -43,7 +48,7 @@ class PrefactoredSystem:
         frontal: np.ndarray,
         w1: float,
         w2: float,
-        laplacian=cotangent_laplacian,
+        laplacian: LaplacianOperator = cotangent_laplacian,
     ) -> None:
         rows = laplacian(vertices, triangles)[:, np.flatnonzero(frontal)]
         self._bending = (rows.T @ rows).tocsr()
@@ -162,7 +167,7 @@ class LaplacianDeformation:
         feature_weights: np.ndarray,
         w1: float,
         w2: float,
-        laplacian=cotangent_laplacian,
+        laplacian: LaplacianOperator = cotangent_laplacian,
     ) -> None:
         self.w1 = w1
         self.system = PrefactoredSystem(vertices, triangles, frontal, w1, w2, laplacian)
@@ -170,6 +175,12 @@ class LaplacianDeformation:
         self.corners = (np.cumsum(frontal) - 1)[feature_triangles]
         self.shares = np.where(frontal[feature_triangles], feature_weights, 0.0)
         self._respond()
+
+    @classmethod
+    def of(cls, actor: Actor, w1: float, w2: float, laplacian: LaplacianOperator = cotangent_laplacian) -> LaplacianDeformation:
+        """The deformation of an actor's frontal region."""
+        rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
+        return cls(*rigging, w1, w2, laplacian)
 
     def reweighted(self, w1: float, w2: float) -> LaplacianDeformation:
         """The same surface and features with other energy weights; costs less than a new one."""

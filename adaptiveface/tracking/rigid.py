@@ -7,7 +7,7 @@ that moves by less than that between two frames would never be followed if the t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,9 @@ from ..registration.association import Correspondences, find_correspondences
 from ..registration.icp import Iterate, icp, last
 from ..registration.step import apply_rigid_update, motion_of, point_to_plane_step
 from ..registration.surface import DepthSurface
+
+#: (points (n, 3), correspondences, centre (3,), vertex weights (n,)) -> the pose update (6,).
+StepSolver = Callable[[np.ndarray, Correspondences, np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -33,11 +36,13 @@ class RigidTracker:
     """Aligns a head-frame shape to the depth map by a few ICP steps, until they move it no more.
 
     ``vertex_weights`` (n,): how much each vertex counts; those that move least in expressions should lead.
+    ``solve``: computes one step, as :func:`.point_to_plane_step` does.
     """
 
-    def __init__(self, vertex_weights: np.ndarray, parameters: RigidParameters) -> None:
-        self.vertex_weights = vertex_weights
-        self.parameters = parameters
+    def __init__(
+        self, vertex_weights: np.ndarray, parameters: RigidParameters, solve: StepSolver = point_to_plane_step
+    ) -> None:
+        self.vertex_weights, self.parameters, self._solve = vertex_weights, parameters, solve
 
     def align(self, surface: DepthSurface, shape: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> RigidFit:
         """Refine ``pose`` for a shape (n, 3) with unit normals (n, 3) in the head frame."""
@@ -50,7 +55,7 @@ class RigidTracker:
         def step(pose: np.ndarray, matches: Correspondences) -> tuple[np.ndarray, float]:
             centre = transform_points(pose, middle)
             robust = self.vertex_weights / (1.0 + (matches.distances / p.outlier) ** 2)
-            update = point_to_plane_step(matches.points, matches, centre, robust)
+            update = self._solve(matches.points, matches, centre, robust)
             return apply_rigid_update(pose, update, centre), motion_of(update)
 
         printed = p.stop == "distance"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
+import functools
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from ..frame import FEATURE_IDS, RgbdFrame
 from ..mesh import adjacency, cotangent_laplacian
 from ..parameters import Parameters
 from ..tracking.laplacian import LaplacianDeformation
+from ..tracking.stages import Stages
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
 from .measures import Measures
@@ -112,12 +113,11 @@ def tracker_with_laplacian(name: str):
         )
     )
 
+    stages = Stages(deformation=functools.partial(LaplacianDeformation.of, laplacian=operators[name]))
+
     def make(actor: Actor, parameters: Parameters) -> FaceTracker:
-        """A tracker that smooths by the chosen operator."""
-        tracker = copy.copy(FaceTracker(actor, parameters))
-        rigging = (actor.neutral, actor.triangles, actor.frontal, actor.feature_triangles, actor.feature_weights)
-        tracker.deformation = LaplacianDeformation(*rigging, parameters.laplacian.w1, parameters.laplacian.w2, operators[name])
-        return tracker
+        """A tracker whose deformation to depth smooths by the chosen operator."""
+        return FaceTracker(actor, parameters, stages)
 
     return make
 

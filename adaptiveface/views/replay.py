@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,12 +12,12 @@ from ..actor import Actor
 from ..frame import RgbdFrame
 from ..parameters import Parameters
 from ..tracking.adaptive_pca import AdaptiveModel
-from ..tracking.retune import put_where, retuned, snapshot
+from ..tracking.base import Tracker
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import SampleState, TrackedFrame
 from .kernel import BackgroundTask
 
-MakeTracker = Callable[[Actor, Parameters], FaceTracker]
+MakeTracker = Callable[[Actor, Parameters], Tracker]
 
 
 class Replay:
@@ -39,9 +40,9 @@ class Replay:
         self.on_result = on_result or (lambda index: None)
         self.results: list[TrackedFrame | None] = [None] * len(self.frames)
         self.tracker = make_tracker(actor, self.parameters)
-        self._before: list[FaceTracker | None] = [None] * len(self.frames)
+        self._before: list[Tracker | None] = [None] * len(self.frames)
         self._made_with: list[Parameters | None] = [None] * len(self.frames)  # of every result
-        self._previewer: tuple[Parameters, FaceTracker] | None = None  # what the last preview tracked with
+        self._previewer: tuple[Parameters, Tracker] | None = None  # what the last preview tracked with
         self._task = BackgroundTask()
         #: Frames tracked under the current parameters.
         self.done = 0
@@ -95,9 +96,10 @@ class Replay:
     def _quick_preview(self, index: int) -> TrackedFrame:
         """:meth:`preview` with the stages of the last one, whose matrices cost more than a frame."""
         before, (known, tracker) = self._before[index], self._previewer or (None, None)
-        if known != self.parameters or len(tracker._x) != len(before._x):
+        if known != self.parameters or len(tracker.state.coefficients) != len(before.state.coefficients):
             return self.preview(self.parameters, index)
-        tracker = put_where(tracker, before)
+        same_filter = before.parameters.kalman == self.parameters.kalman
+        tracker = tracker.with_state(before.state if same_filter else replace(before.state, filter=None))
         if before.parameters.adaptive_pca == self.parameters.adaptive_pca:
             tracker.model = before.model
         return tracker.track(self.frames[index])
@@ -115,13 +117,13 @@ class Replay:
         if start is None:
             return self.make_tracker(self.actor, parameters).track(self.frames[index])
         # The copy shares the sample buffer, which the background run fills: for one frame, and without learning.
-        tracker = retuned(start, parameters.set(adaptive_pca__learn=False), relearn=False)
+        tracker = start.with_parameters(parameters.set(adaptive_pca__learn=False), relearn=False)
         if parameters.adaptive_pca != start.parameters.adaptive_pca:
             tracker.model = self._relearned(tracker, parameters, index)
-        self._previewer = parameters, snapshot(tracker)
+        self._previewer = parameters, tracker.copy()
         return tracker.track(self.frames[index])
 
-    def _relearned(self, tracker: FaceTracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
+    def _relearned(self, tracker: Tracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
         """What the earlier frames' deformations v2 - v1 teach; of at most ``most`` frames, to answer at once."""
         model = AdaptiveModel(self.actor, tracker.blendshapes.basis, parameters.adaptive_pca)
         unseen = (SampleState.UNTRACKED, SampleState.HIDDEN)
@@ -138,7 +140,7 @@ class Replay:
 
     def _advance(self) -> None:
         index = self.done
-        self._before[index] = snapshot(self.tracker)
+        self._before[index] = self.tracker.copy()
         self._keep(index, self.tracker.track(self.frames[index]))
         self.done += 1
         self.on_result(index)

@@ -1,0 +1,215 @@
+"""What the trackers with and without depth have in common: the state between frames, and the stages that both use."""
+
+from __future__ import annotations
+
+import copy
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from operator import attrgetter
+from typing import Self
+
+import numpy as np
+
+from ..actor import Actor
+from ..frame import RgbdFrame
+from ..parameters import Parameters
+from .adaptive_pca import AdaptiveModel
+from .feature_rows import feature_rows
+from .held_out import HeldOut
+from .laplacian import FeatureTerm, feature_term
+from .printed import printed_term
+from .region import FrontalRegion
+from .stages import Stages
+from .state import TrackerState
+from .types import STAGE_NAMES, SampleState, TrackedFrame
+
+
+class Tracker(ABC):
+    """Tracks one actor. ``track(frame)`` for every frame in order; ``reset()`` starts over, ``forget()`` drops the face only.
+
+    Attributes
+    ----------
+    given, actor : Actor
+        The actor that the tracker was made for; the same with the features that the tracker works with.
+    stages : Stages
+        How the stages are made. The stages themselves are attributes of the same names.
+    state : TrackerState
+        Where the last frame left the face.
+    model : AdaptiveModel
+        What was learned so far (section 5).
+    """
+
+    def __init__(self, actor: Actor, parameters: Parameters | None = None, stages: Stages | None = None) -> None:
+        self.given = self.actor = actor
+        self.parameters, self.stages = parameters or Parameters(), stages or Stages()
+        self.region, self.held_out = FrontalRegion(actor), HeldOut(actor)
+        self._make_stages(None)
+        self.model = self._new_model()
+        self.reset()
+
+    # ---- the state between frames ----------------------------------------------------------------------------------
+    @property
+    def pose(self) -> np.ndarray | None:
+        """(4, 4) the head's last pose, head to camera, mm; None where it is not known."""
+        return self.state.pose
+
+    def reset(self) -> None:
+        """Start over: forget the pose, the expression and everything learned."""
+        self.model.reset()
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget where the head was and what the face did; the next frame is searched by its 2D features."""
+        neutral = self.actor.neutral
+        self.state = TrackerState(
+            pose=None,
+            coefficients=np.zeros(len(self.blendshapes.basis)),
+            v1=neutral,
+            v4=neutral,
+            deformation=np.zeros((len(self.region), 3)),
+        )
+
+    def copy(self) -> Self:
+        """The tracker as it is between two frames, without copying arrays: tracking on replaces them.
+
+        Only the sample buffer of the adaptive model is shared and goes on changing: of the two, one may learn.
+        """
+        out = copy.copy(self)
+        out.model = copy.copy(self.model)
+        return out
+
+    def with_state(self, state: TrackerState) -> Self:
+        """A copy that goes on from ``state``, of a tracker with the same number of expressions. Nothing is factorised."""
+        out = self.copy()
+        out.state = state
+        return out
+
+    def with_parameters(self, parameters: Parameters, relearn: bool = True) -> Self:
+        """A tracker with other ``parameters`` that goes on from this one; only the stages that changed are made anew.
+
+        It takes over the adaptive model, so that this tracker must not learn on.
+
+        Parameters
+        ----------
+        relearn
+            Where the number of expressions, of correctives or of samples changes, the model learns anew from the samples
+            in its buffer. False leaves it as it is, except for a changed number of expressions, which starts it over.
+        """
+        old, out = self.parameters, self.copy()
+        out.parameters = parameters
+        out._make_stages(old)
+        expressions = differ(old, parameters, "blendshapes.A")
+        if expressions:
+            out.state, out.model = out._with_my_expressions(self.state), out._new_model()
+        elif differ(old, parameters, "kalman"):
+            out.state = replace(self.state, filter=None)
+        if relearn and (expressions or differ(old, parameters, "adaptive_pca.K", "adaptive_pca.S")):
+            out.model = out._new_model()
+            out.model.learn_all(self.model.samples())
+            out.model.updates = self.model.updates
+        elif relearn:
+            out.model.parameters = parameters.adaptive_pca
+        return out
+
+    def _with_my_expressions(self, state: TrackerState) -> TrackerState:
+        """``state`` of a tracker with another number of expressions: those that this tracker lacks are dropped."""
+        x = np.zeros(len(self.blendshapes.basis))
+        count = min(len(x), len(state.coefficients))
+        x[:count] = state.coefficients[:count]
+        return replace(state, coefficients=x, v1=self.blendshapes.shape(x), filter=None)
+
+    # ---- the stages ------------------------------------------------------------------------------------------------
+    def _make_stages(self, old: Parameters | None) -> None:
+        """Make the stages whose parameters differ from ``old``; all of them where that is None."""
+        p, make = self.parameters, self.stages
+        if differ(old, p, "blendshapes"):
+            self.blendshapes = make.blendshapes(self.actor, p.blendshapes)
+        if differ(old, p, "kalman"):
+            self.kalman = make.kalman(p.kalman)
+        if old is None:
+            self.final_deformation = make.final_deformation(self.actor, *p.laplacian.final_energies)
+        elif differ(old, p, "laplacian.final_energies"):
+            self.final_deformation = self.final_deformation.reweighted(*p.laplacian.final_energies)
+
+    def _new_model(self) -> AdaptiveModel:
+        return self.stages.adaptive_pca(self.actor, self.blendshapes.basis, self.parameters.adaptive_pca)
+
+    @abstractmethod
+    def track(self, frame: RgbdFrame) -> TrackedFrame:
+        """One frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
+
+    def _filtered(self, measured: np.ndarray) -> np.ndarray:
+        """The coefficients (A,) of this frame: filtered over time, within their bounds (section 4.2)."""
+        limits = self.parameters.blendshapes
+        self.state = replace(self.state, filter=self.kalman.step(self.state.filter, measured))
+        return np.clip(self.state.filter.coefficients, limits.lower, limits.upper)
+
+    def _deform_to_features(self, frame: RgbdFrame, pose: np.ndarray, mesh: np.ndarray) -> np.ndarray:
+        """``mesh`` (N, 3) deformed to the features alone (section 4.4), head frame, mm."""
+        p = self.parameters.laplacian
+        if p.feature_rows == "soft":
+            term = self._feature_term(frame, pose, mesh, p.final_feature_weight, hold_depth=True)
+        else:
+            term = self._printed_term(frame, pose, mesh, rise=0.0)
+        return self.region.displaced(mesh, self.final_deformation.deform_to_features(term))
+
+    def _feature_term(
+        self, frame: RgbdFrame, pose: np.ndarray, mesh: np.ndarray, weight: float, hold_depth: bool
+    ) -> FeatureTerm:
+        rows = feature_rows(frame.features, frame.camera, pose)
+        actor = self.actor
+        corners, share = actor.feature_triangles[rows.index], actor.feature_weights[rows.index]
+        points = np.einsum("fk,fkd->fd", share, mesh[corners])
+        return feature_term(rows, points, pose, frame.camera.fx, weight, hold_depth)
+
+    def _printed_term(self, frame: RgbdFrame, pose: np.ndarray, mesh: np.ndarray, rise: np.ndarray | float) -> FeatureTerm:
+        """The features' rows of equations (4) and (5); ``rise`` (40,) mm: by how much their depth is to change."""
+        points = np.einsum("fk,fkd->fd", self.actor.feature_weights, mesh[self.actor.feature_triangles])
+        return printed_term(frame.features, frame.camera, pose, points, rise, self.parameters.laplacian)
+
+    def _project(self, v2: np.ndarray) -> np.ndarray:
+        """v3 (N, 3): v2 projected on the adaptive space (section 4.3, last equation)."""
+        frontal, outside = self.model.project(self.region.displacement(v2))
+        v3 = self.actor.neutral.copy()
+        v3[self.region.vertices] += frontal.reshape(-1, 3)
+        v3[self.region.outside] += outside.reshape(-1, 3)
+        return v3
+
+    def untracked(self, frame: RgbdFrame, reason: str, ms: dict[str, float] | None = None) -> TrackedFrame:
+        """The result of a ``frame`` in which there is no face, or none that can be tracked: the neutral, unmoved."""
+        neutral, x = self.actor.neutral, self.state.coefficients
+        return TrackedFrame(
+            frame.index,
+            frame.timestamp,
+            False,
+            np.eye(4),
+            neutral,
+            neutral,
+            neutral,
+            neutral,
+            x,
+            x,
+            SampleState.UNTRACKED,
+            self.model.updates,
+            stage_ms=ms or dict.fromkeys(STAGE_NAMES, 0.0),
+            reason=reason,
+        )
+
+
+def differ(old: Parameters | None, new: Parameters, *names: str) -> bool:
+    """Whether any of the stages or parameters ``names`` ("kalman", "laplacian.w2") differs; True without ``old``."""
+    values: Callable[[Parameters], object] = attrgetter(*names)
+    return old is None or values(old) != values(new)
+
+
+@contextmanager
+def timed(ms: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the milliseconds of the block to ``ms[stage]``."""
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        ms[stage] += (time.perf_counter() - start) * 1e3

@@ -1,0 +1,47 @@
+"""The frontal region of an actor: the vertices that sections 4.3 and 5 deform and learn from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..actor import Actor
+from ..mesh import vertex_normals
+
+
+class FrontalRegion:
+    """The n frontal vertices of an actor with N vertices, and how meshes are cut to them and moved by them.
+
+    Attributes
+    ----------
+    vertices : (n,) int
+        Their numbers in the whole mesh; ``outside`` (N - n,) holds those of the other vertices.
+    neutral : (n, 3) float
+        Their places in the neutral, head frame, mm.
+    local : (N,) int
+        Their numbers within the region, by their numbers in the whole mesh; meaningless for other vertices.
+    """
+
+    def __init__(self, actor: Actor) -> None:
+        frontal = actor.frontal
+        self.vertices = np.flatnonzero(frontal)
+        self.outside = np.flatnonzero(~frontal)
+        self.neutral = actor.neutral[self.vertices]
+        self.local = np.cumsum(frontal) - 1
+        self._triangles = self.local[actor.triangles[frontal[actor.triangles].all(axis=1)]]
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    def normals(self, mesh: np.ndarray) -> np.ndarray:
+        """(n, 3) unit normals of the region of a ``mesh`` (N, 3)."""
+        return vertex_normals(mesh[self.vertices], self._triangles)
+
+    def displacement(self, mesh: np.ndarray) -> np.ndarray:
+        """(3n,) displacement of the region of a ``mesh`` (N, 3) from the neutral, mm."""
+        return (mesh[self.vertices] - self.neutral).ravel()
+
+    def displaced(self, mesh: np.ndarray, deformation: np.ndarray) -> np.ndarray:
+        """A copy of ``mesh`` (N, 3) whose region is moved by ``deformation`` (n, 3), mm."""
+        moved = mesh.copy()
+        moved[self.vertices] += deformation
+        return moved

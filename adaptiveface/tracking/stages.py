@@ -1,0 +1,56 @@
+"""The stages that a tracker is composed of, each as the callable that makes it. Another stage is put in its place here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..actor import Actor
+from ..parameters import (
+    AdaptivePcaParameters,
+    BlendshapeParameters,
+    KalmanParameters,
+    RefinementParameters,
+    RigidParameters,
+)
+from .adaptive_pca import AdaptiveModel
+from .expression import BlendshapeFit
+from .feature_refinement import FeatureRefinement
+from .kalman import CoefficientFilter
+from .laplacian import LaplacianDeformation
+from .rigid import RigidTracker
+
+
+@dataclass(frozen=True)
+class Stages:
+    """How each stage is made, from the actor and from the stage's own parameters.
+
+    A tracker makes its stages when it is created, and makes one again when that stage's parameters change::
+
+        FaceTracker(actor, parameters, Stages(rigid=MyRigidTracker))
+
+    Attributes
+    ----------
+    rigid : (vertex weights (n,), parameters) -> RigidTracker
+        Section 4.1.
+    blendshapes : (actor, parameters) -> BlendshapeFit
+        Section 4.2, and the re-solve of section 6.
+    kalman : (parameters) -> CoefficientFilter
+        Section 4.2, last paragraph.
+    deformation, final_deformation : (actor, w1, w2) -> LaplacianDeformation
+        Sections 4.3 and 4.4. Other weights reach an existing stage through its ``reweighted``.
+    adaptive_pca : (actor, blendshapes (A, N, 3), parameters) -> AdaptiveModel
+        Sections 4.3 and 5.
+    refinement : (actor, parameters) -> FeatureRefinement
+        Not in the paper; made only for an actor whose appearance is known.
+    """
+
+    rigid: Callable[[np.ndarray, RigidParameters], RigidTracker] = RigidTracker
+    blendshapes: Callable[[Actor, BlendshapeParameters], BlendshapeFit] = BlendshapeFit
+    kalman: Callable[[KalmanParameters], CoefficientFilter] = CoefficientFilter
+    deformation: Callable[[Actor, float, float], LaplacianDeformation] = LaplacianDeformation.of
+    final_deformation: Callable[[Actor, float, float], LaplacianDeformation] = LaplacianDeformation.of
+    adaptive_pca: Callable[[Actor, np.ndarray, AdaptivePcaParameters], AdaptiveModel] = AdaptiveModel
+    refinement: Callable[[Actor, RefinementParameters], FeatureRefinement] = FeatureRefinement
