@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve, expm, polar
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
-from adaptiveface import cli, exercises
+from adaptiveface import __version__, cli, exercises
 from adaptiveface.errors import ParameterError
 from adaptiveface.evaluation import active_share
 from adaptiveface.exercises import (
@@ -393,6 +393,7 @@ def test_notebooks_end_with_their_exercises_and_empty_stubs(notebook):
         text, stub, check = cells[3 * k : 3 * k + 3]
         linked = "".join(text["source"]).replace("\n", " ").split("(solutions/")[1].split(")")[0]
         assert SOLUTIONS / linked == solution_of(exercise)
+        assert f"exercises.{variable_of(exercise)}.hint(1)" in "".join(text["source"])
         assert "".join(check["source"]) == f"exercises.{variable_of(exercise)}.check({exercise.name})"
         space: dict = {}
         exec("".join(stub["source"]), space)  # noqa: S102
@@ -479,7 +480,9 @@ def test_the_student_copy_holds_no_solution(tmp_path, capsys):
     assert cli.main(["exercises", "--student", str(target)]) == 0
     names = {path.name for path in target.rglob("*")}
     assert names == {"README.md", *(path.name for path in SOLUTIONS.parent.glob("*.ipynb"))}
-    assert "--grade" in (target / "README.md").read_text(encoding="utf-8")
+    start = (target / "README.md").read_text(encoding="utf-8")
+    assert "--grade" in start and f"=={__version__}" in start
+    assert all(f"`exercises.{variable_of(exercise)}.hint(1)`" in start for exercise in exercises.EXERCISES)
     text = "\n".join(path.read_text(encoding="utf-8") for path in target.glob("*.ipynb"))
     assert "solutions/" not in text and "olution is in" not in text
     for exercise in exercises.EXERCISES:

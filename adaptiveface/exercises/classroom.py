@@ -31,14 +31,19 @@ _SOLUTION = re.compile(r"\s*A\s+solution\s+is\s+in\s+\[[^\]]*\]\([^)]*\)\.", re.
 
 _START = """# How to begin
 
-1. `python -m pip install "adaptiveface[notebooks]"` (or from a checkout: `".[notebooks]"`), then `adaptiveface doctor`.
+1. `python -m pip install "adaptiveface[notebooks]=={version}"`, or what your teacher names instead; then `adaptiveface doctor`.
 2. `jupyter lab` in this folder. Open the notebook of the sheet, and run its cells from the top (Shift+Enter). The first run
    renders a performance, which takes half a minute.
 3. An exercise has a cell with an empty function. Write it, run the cell, and run the cell below it: that is the grader. It says
-   what is wrong. `exercises.NAME.hint(1)` to `hint(3)` help; the exercise's text says the name.
-4. Hand in: save the notebook and send the file. Keep the functions' names; only they, and what they need, are
-   graded. To see what
-   the teacher will see, put the file into a folder of its own and run `adaptiveface exercises --grade FOLDER`.
+   what is wrong. The hints help: the first says where to look, the second what to do, the third holds the formula.
+4. Hand in: save the notebook and send the file. Keep the functions' names; only they, and what they need, are graded. To see
+   what the teacher will see, put the file into a folder of its own and run `adaptiveface exercises --grade FOLDER`.
+
+The exercises stand at the end of their notebooks:
+
+| notebook | function | hints |
+|---|---|---|
+{rows}
 """
 
 
@@ -71,8 +76,20 @@ def student_copy(source: Path, target: Path) -> list[Path]:
             temporary.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         written.append(target / path.name)
     with replacing(target / "README.md") as temporary:
-        temporary.write_text(_START, encoding="utf-8")
+        temporary.write_text(_start(), encoding="utf-8")
     return written
+
+
+def _start() -> str:
+    """The README of a student copy: how to begin, and every exercise by the names under which it is found."""
+    from .. import __version__, exercises
+
+    named = {id(getattr(exercises, name)): name for name in exercises.__all__}
+    rows = [
+        f"| {exercise.notebook} | `{exercise.name}` | `exercises.{named[id(exercise)]}.hint(1)` |"
+        for exercise in sorted(exercises.EXERCISES, key=lambda exercise: exercise.notebook)
+    ]
+    return _START.format(version=__version__, rows="\n".join(rows))
 
 
 def find_submissions(folder: Path) -> dict[str, list[Path]]:

@@ -115,7 +115,7 @@ def describe(answer, expected, case: Case) -> str:
         return _TURNED_BACK
     energies = [_energy(step, **case) for step in ((np.eye(3), np.zeros(3)), answer, expected)]
     before, after, least = energies
-    grows = "; it grows: a sign?" if after > before else ""
+    grows = "; it grows: a sign, or a turn about another centre than the one that was solved about?" if after > before else ""
     return f"the energy goes from {before:.3g} to {after:.3g}; the right step reaches {least:.3g}{grows}"
 
 

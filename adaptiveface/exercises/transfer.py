@@ -33,12 +33,13 @@ def truth(neutral, deformed):
     return deformation_gradients(neutral.reshape(-1, 3), deformed.reshape(-1, 3), corners)
 
 
-def frames(corners, power=0.5, edges=True, flip=1.0, order=(0, 1, 2)):
+def frames(corners, power=0.5, edges=True, flip=1.0, order=(0, 1, 2), together=False):
     """V (T, 3, 3): two edges and the normal over its length to a power, as columns; by the switches, what goes wrong."""
     a, b, c = (corners[:, k] for k in order)
     u, v = (b - a, c - a) if edges else (b, c)
     normal = flip * np.cross(u, v)
-    return np.stack([u, v, normal / np.linalg.norm(normal, axis=1, keepdims=True) ** power], axis=2)
+    length = np.linalg.norm(normal) if together else np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.stack([u, v, normal / length**power], axis=2)
 
 
 def parse(answer, case: Case) -> np.ndarray:
@@ -68,6 +69,7 @@ MISTAKES = (
     ),
     Mistake("the normal has length 1: divided by the root of its length it scales as the triangle does", _of(power=1.0)),
     Mistake("the normal is not divided at all: it grows with the area, not with the length", _of(power=0.0)),
+    Mistake("one length is taken of all normals together: each triangle has its own (axis=1)", _of(together=True)),
     Mistake("the corners themselves are used: only edges do not depend on where the triangle is", _of(edges=False)),
     Mistake(
         "the normal is left out and a pseudo-inverse taken: then S flattens everything off the triangle's plane",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake
+from .grading import Case, Exercise, Mistake, Wrong
 from .pairs import close, packed
 
 TASK = (
@@ -76,11 +76,23 @@ def integrate(
 def parse(answer, case: Case) -> np.ndarray:
     """distance and weight, packed."""
     n = len(case["distance"])
-    return packed(answer, (("distance", (n,)), ("weight", (n,))))
+    try:
+        return packed(answer, (("distance", (n,)), ("weight", (n,))))
+    except Wrong as wrong:
+        if "NaN or infinite" in str(wrong):
+            raise Wrong(f"{wrong}: a voxel that no frame has seen has the weight 0, by which nothing can be divided") from None
+        raise
 
 
 def _by(**switches):
     return lambda **case: integrate(**case, **switches)
+
+
+def _emptied(**case):
+    """Voxels that the frame may not speak about have lost their distance and their weight."""
+    distance, weight = integrate(**case)
+    told = weight > case["weight"]
+    return np.where(told, distance, 0.0), np.where(told, weight, 0.0)
 
 
 MISTAKES = (
@@ -94,6 +106,7 @@ MISTAKES = (
         "voxels far behind the skin are set to -1 instead of left alone: thin parts such as ears vanish",
         _by(skip=False, bottom=True),
     ),
+    Mistake("a voxel about which the frame may not speak is set to 0 instead of left as it was", _emptied),
     Mistake("the sign is turned: the distance is positive in front of the skin", _by(sign=-1.0)),
     Mistake("min_cosine does not enter: skin seen at a grazing angle is measured badly", _by(angle=False)),
     Mistake("every frame counts 1: its weight is the cosine of the viewing angle", _by(own=np.ones_like)),
