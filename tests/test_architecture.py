@@ -28,7 +28,7 @@ FLOORS = (
     ("retargeting",),
     ("evaluation", "export", "live"),
     ("bench", "report"),
-    ("batch", "doctor"),
+    ("batch", "doctor", "studies"),
     ("views",),
     ("cli",),
     ("__main__",),

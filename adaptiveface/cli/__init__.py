@@ -30,6 +30,7 @@ COMMANDS = (
     sensors.add_live,
     studies.add_batch,
     studies.add_evaluate,
+    studies.add_paper,
     tools.add_bench,
     tools.add_lab,
     tools.add_exercises,

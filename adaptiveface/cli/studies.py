@@ -1,4 +1,4 @@
-"""Commands for studies over recordings: ``batch`` and ``evaluate``."""
+"""Commands for studies: ``batch``, ``evaluate`` and ``paper``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from ..errors import ParameterError
 from ..export.arguments import FORMATS
 from ..files import check_folder, check_output
 from .arguments import add_settings, parameters, whole
+
+#: As in ``studies.FIGURES``, which the command line does not load for its help.
+PAPER_FIGURES = (5, 6, 7, 8, 9, 11)
 
 
 def add_batch(commands) -> None:
@@ -93,3 +96,28 @@ def run_evaluate(args: argparse.Namespace) -> int:
     if len(args.pairs) % 2:
         raise ParameterError(f"{args.pairs[-1]}: each result needs its truth after it")
     return compare_runs(list(zip(args.pairs[::2], args.pairs[1::2], strict=True)), args.actor, args.step, args.csv)
+
+
+def add_paper(commands) -> None:
+    """``paper``."""
+    paper = commands.add_parser("paper", help="draw the paper's figures again, with its parameters and with our defaults")
+    paper.add_argument(
+        "--figure", type=int, nargs="+", choices=PAPER_FIGURES, default=PAPER_FIGURES, metavar="N", help="default: %(default)s"
+    )
+    paper.add_argument("--out", type=Path, default=Path("paper-figures"), metavar="DIR", help="%(default)s: PNG, SVG and CSV")
+    paper.add_argument("--seed", type=whole(0, 999_999), default=1000, metavar="N", help="synthetic performer: %(default)s")
+    paper.add_argument("--noise", default="structured-light", metavar="NAME", help="its sensor's: %(default)s, truedepth, none")
+    paper.add_argument("--frames", type=whole(12, 100_000), metavar="N", help="of one performance; default: by figure")
+    paper.set_defaults(run=run_paper)
+
+
+def run_paper(args: argparse.Namespace) -> int:
+    """``paper [--figure N ...] [--out DIR]``."""
+    from ..studies import paper_figure
+
+    check_folder(args.out)
+    for number in args.figure:
+        drawn = paper_figure(number, args.seed, args.noise, args.frames)
+        print(f"figure {number}, {drawn.title}: {drawn.caption}")
+        print("  " + ", ".join(map(str, drawn.save(args.out))))
+    return 0

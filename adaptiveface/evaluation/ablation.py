@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..parameters import Parameters
 from ..tracking.expression import BlendshapeFit
 from ..tracking.stages import Stages
 from ..tracking.tracker import FaceTracker
+from ..tracking.types import TrackedFrame
 from .run import ErrorCollector, Evaluation
 from .truth import REPEAT, GroundTruth
 
@@ -41,7 +42,12 @@ VARIANTS = (
     Variant("without the Laplacian smoothing", changes={"laplacian.w2": 1e-4, "laplacian.final_w2": 1e-4}),
     Variant(
         "without 2D features",
-        changes={"blendshapes.w": 1e-7, "laplacian.feature_weight": 0.0, "laplacian.final_feature_weight": 0.0},
+        changes={
+            "blendshapes.w": 1e-7,
+            "laplacian.feature_rows": "soft",
+            "laplacian.feature_weight": 0.0,
+            "laplacian.final_feature_weight": 0.0,
+        },
     ),
     Variant("learning off", changes={"adaptive_pca.learn": False}),
 )
@@ -54,25 +60,30 @@ def run_ablations(
     parameters: Parameters | None = None,
     variants: Iterable[Variant] = VARIANTS,
     stride: int = 1,
+    first: int = 0,
+    on_result: Callable[[Variant, TrackedFrame], None] | None = None,
 ) -> dict[str, Evaluation]:
     """Track the same frames with every variant; returns name -> :class:`Evaluation` of its one stage.
 
-    ``truth`` as for :meth:`GroundTruth.of`; every ``stride``-th frame is scored. The frames are read once.
+    ``truth`` as for :meth:`GroundTruth.of`; every ``stride``-th frame from number ``first`` on is scored. The
+    frames are read once. ``on_result`` sees every variant's result of every frame.
     """
     parameters, truth, variants = parameters or Parameters(), GroundTruth.of(truth), tuple(variants)
     collectors = {variant.name: ErrorCollector(truth, actor, (variant.stage,)) for variant in variants}
-    runs: dict[tuple, tuple[FaceTracker, list[ErrorCollector]]] = {}
+    runs: dict[tuple, tuple[FaceTracker, list[Variant]]] = {}
     for variant in variants:
         key = (tuple(variant.changes.items()), variant.fit)
         if key not in runs:
             runs[key] = (_tracker(actor, parameters, variant), [])
-        runs[key][1].append(collectors[variant.name])
+        runs[key][1].append(variant)
     for frame in frames:
-        for tracker, scorers in runs.values():
+        for tracker, sharing in runs.values():
             tracked = tracker.track(frame)
-            for collector in scorers:
-                if frame.index % stride == 0 or not tracked.tracked:
-                    collector.add(tracked)
+            for variant in sharing:
+                if (frame.index >= first and frame.index % stride == 0) or not tracked.tracked:
+                    collectors[variant.name].add(tracked)
+                if on_result is not None:
+                    on_result(variant, tracked)
     return {name: collector.finish() for name, collector in collectors.items()}
 
 

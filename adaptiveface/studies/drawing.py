@@ -1,0 +1,59 @@
+"""What the figures share: portraits on a grid, coloured in millimetres, and plain charts. Matplotlib without global state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from ..actor import Actor
+from ..report.pictures import Portraits, on_backdrop
+
+BACKDROP = (235, 236, 238)
+SIZE = (230, 280)
+
+
+class Faces:
+    """Draws heads (N, 3), head frame, as pictures; ``top`` mm is the end of the colour scale."""
+
+    def __init__(self, actor: Actor, top: float, size: tuple[int, int] = SIZE) -> None:
+        self.top = top
+        self._portraits = Portraits(actor, size)
+
+    def plain(self, head: np.ndarray) -> np.ndarray:
+        """(h, w, 3) uint8 in the colour of skin."""
+        return on_backdrop(self._portraits.draw(head), BACKDROP)
+
+    def heat(self, head: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(h, w, 3) uint8 coloured by ``values`` (N,) mm; NaN stays grey."""
+        return on_backdrop(self._portraits.draw(head, values, (0.0, self.top)), BACKDROP)
+
+
+def grid(pictures: Sequence[Sequence[np.ndarray | None]], titles: Sequence[Sequence[str]], labels: Sequence[str]) -> Figure:
+    """A figure with one picture per cell, the titles above them and ``labels`` before the rows."""
+    rows, columns = len(pictures), max(map(len, pictures))
+    high, wide = next(picture for line in pictures for picture in line if picture is not None).shape[:2]
+    lines = 1 + max((title.count("\n") for words in titles for title in words), default=0)
+    size = 1.75 * columns + 0.6, (1.65 * high / wide + 0.15 * lines + 0.15) * rows + 0.2
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for line, words, label, row in zip(pictures, titles, labels, axes, strict=True):
+        for axis in row:
+            axis.set(xticks=[], yticks=[], frame_on=False)
+        for axis, picture, title in zip(row, line, words, strict=False):
+            if picture is not None:
+                axis.imshow(picture)
+            axis.set_title(title, fontsize=8)
+        row[0].set_ylabel(label, fontsize=10)
+    return figure
+
+
+def add_scale(figure: Figure, top: float, words: str) -> None:
+    """The colour scale of the heat maps, 0 to ``top`` mm, beside the grid."""
+    scale = ScalarMappable(Normalize(0.0, top), "viridis")
+    bar = figure.colorbar(scale, ax=figure.axes, shrink=0.7, fraction=0.03, pad=0.01)
+    bar.set_label(words, fontsize=9)
+    bar.ax.tick_params(labelsize=8)

@@ -1,0 +1,89 @@
+"""A figure of the paper: its drawing, its numbers, and what is seen in it; saved as PNG, SVG and CSV."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib
+
+from ..blas import one_blas_thread
+from ..errors import ParameterError
+from ..files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Number in the paper -> the module that draws it, and what it is about.
+FIGURES = {
+    5: ("influence", "the influence of each stage"),
+    6: ("out_of_space", "the two deformations out of the adaptive space"),
+    7: ("correctives", "the adaptive model while it learns"),
+    8: ("transfer", "coefficients drive other faces"),
+    9: ("emotions", "six emotions, beside a tracker that does not adapt"),
+    11: ("convergence", "the distance from the anchor space and from the adaptive space"),
+}
+_STYLE = {"svg.hashsalt": "adaptiveface", "svg.fonttype": "none", "image.composite_image": False}
+
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """One drawn figure.
+
+    Attributes
+    ----------
+    number : its number in the paper.
+    title : what it is about.
+    caption : what is seen, and where it differs from the paper's.
+    figure : a matplotlib ``Figure``.
+    rows : the numbers, a dict per row of the table, with the same keys.
+    """
+
+    number: int
+    title: str
+    caption: str
+    figure: Figure
+    rows: list[dict]
+
+    def save(self, folder: str | os.PathLike, dpi: int = 120) -> list[Path]:
+        """Write ``figure_N.png``, ``.svg`` and ``.csv`` in ``folder``, which is made; returns their paths."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / f"figure_{self.number}.{kind}" for kind in ("png", "svg", "csv")]
+        with matplotlib.rc_context(_STYLE):
+            for path in paths[:2]:
+                with replacing(path) as temporary:
+                    metadata = {"Date": None} if path.suffix == ".svg" else {}
+                    self.figure.savefig(temporary, dpi=dpi, facecolor="white", metadata=metadata)
+        with replacing(paths[2]) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, list(self.rows[0]))
+            writer.writeheader()
+            writer.writerows(self.rows)
+        return paths
+
+
+def paper_figure(number: int, seed: int = 1000, noise: str = "structured-light", frames: int | None = None) -> PaperFigure:
+    """Draw figure ``number`` of the paper.
+
+    Parameters
+    ----------
+    number : one of ``FIGURES``.
+    seed : of the synthetic performer; those from 1000 on had no part in the development of the tracker.
+    noise : of its depth sensor, as in :class:`~adaptiveface.synthetic.sensor.SyntheticSensor`.
+    frames : of one performance; None takes what the figure needs. Fewer are faster.
+
+    Raises
+    ------
+    ParameterError
+        There is no such figure, or the performer's values make no sense.
+    """
+    if number not in FIGURES:
+        raise ParameterError(f"figure {number}: one of {', '.join(map(str, FIGURES))} is expected")
+    module, title = FIGURES[number]
+    with one_blas_thread():
+        caption, figure, rows = importlib.import_module(f".{module}", __package__).draw(seed, noise, frames)
+    return PaperFigure(number, title, caption, figure, rows)
