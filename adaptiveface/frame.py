@@ -20,8 +20,9 @@ MEDIAPIPE_INDICES = np.array(
     np.int32,
 )
 
-#: Landmarks of MediaPipe's face mesh, irises included.
+#: Landmarks of MediaPipe's face mesh, irises included, and those of the iris centres, left eye of the subject first.
 LANDMARKS = 478
+IRIS_CENTRES = (473, 468)
 
 #: Region of each feature in ``FEATURE_IDS``, for reports and weights.
 FEATURE_REGIONS = np.array(["brows"] * 8 + ["eyes"] * 12 + ["lips"] * 20)
@@ -100,12 +101,22 @@ class Features2D:
     """The 40 facial features of one frame, in the order of ``FEATURE_IDS``.
 
     ``pixels`` (40, 2) float64 in the depth image, NaN where not seen; ``confidence`` (40,) in [0, 1], 0 where not seen;
-    ``face``: everything the detector found beside them, or None where the features came from elsewhere.
+    ``face``: everything the detector found beside them, or None where the features came from elsewhere; ``irises`` (2, 2):
+    iris centres where these are known without it, pixels, NaN where not seen.
     """
 
     pixels: np.ndarray
     confidence: np.ndarray
     face: DetectedFace | None = None
+    irises: np.ndarray | None = None
+
+    @property
+    def iris_centres(self) -> np.ndarray | None:
+        """(2, 2) pixels: the irises' centres, the subject's left eye first; None where nothing looked for them."""
+        if self.irises is not None:
+            return self.irises
+        seen = self.face is not None and len(self.face.mesh) >= LANDMARKS
+        return self.face.mesh[list(IRIS_CENTRES), :2] if seen else None
 
     @property
     def valid(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Where the eyes look: the detector's irises on the actor's own eyeballs.
+"""Where the eyes look: irises in the picture, on the actor's own eyeballs.
 
 The ray from the camera through the centre of an iris meets the eyeball, which is known in the head's frame, and the
 direction from the ball's centre to that point is the gaze. Tracking has no part in it, and knows of no detector.
@@ -17,8 +17,6 @@ from .insides import make_insides
 from .insides.parts import CORNEA
 from .mesh import surface_points, transform_points
 
-#: MediaPipe's landmarks of the iris centres, left eye of the subject first, and how many there are with irises.
-IRIS_CENTRES, WITH_IRISES = (473, 468), 478
 #: iBUG numbers of the corners, and pairs of upper and lower lid, by eye.
 _CORNERS = ((42, 45), (36, 39))
 _LIDS = (((43, 47), (44, 46)), ((37, 41), (38, 40)))
@@ -60,7 +58,8 @@ class GazeEstimator:
         iris was detected.
         """
         gaze = np.full((2, 2), np.nan)
-        if not self.available or features is None or features.face is None or len(features.face.mesh) < WITH_IRISES:
+        irises = None if features is None else features.iris_centres
+        if not self.available or irises is None:
             return gaze
         marks = surface_points(skin, self._actor.feature_triangles, self._actor.feature_weights)
         shown = camera.project(transform_points(pose, marks))
@@ -69,8 +68,8 @@ class GazeEstimator:
             if not self._open(features, side):
                 continue
             shift = (shown[corners] - features.pixels[corners]).mean(axis=0)
-            pixel = features.face.mesh[IRIS_CENTRES[side], :2] + shift
-            gaze[side] = self._direction(pixel, pose, camera, side)
+            if np.isfinite(irises[side] + shift).all():
+                gaze[side] = self._direction(irises[side] + shift, pose, camera, side)
         if np.isfinite(gaze).all():  # eyes move up and down together
             gaze[:, 1] = gaze[:, 1].mean()
         return gaze

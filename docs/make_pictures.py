@@ -11,11 +11,16 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 from adaptiveface.evaluation.metrics import surface_distance  # noqa: E402
+from adaptiveface.gaze import GazeEstimator  # noqa: E402
+from adaptiveface.insides import make_insides  # noqa: E402
+from adaptiveface.landmarks.irises import WithIrises  # noqa: E402
 from adaptiveface.mesh import transform_points  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
 from adaptiveface.pipeline import capture_from, one_blas_thread  # noqa: E402
 from adaptiveface.report.pictures import (  # noqa: E402
+    SKIN,
     Portraits,
+    completed,
     depth_picture,
     face_view,
     frontal_triangles,
@@ -102,11 +107,18 @@ def distinct(results, count: int) -> list:
 
 
 def performance(actor, results, sensor, count: int = 7, top: float = 3.0) -> None:
-    """The README's first picture: frames of the repeat; input, tracked mesh, and how far v4 lies from v1 (0 to 3 mm)."""
+    """The README's first picture: frames of the repeat; input, tracked mesh, and how far v4 lies from v1 (0 to 3 mm).
+
+    The mesh has its own eyes, teeth and tongue; it looks where the detector sees the irises.
+    """
+    looking, eyes, insides = WithIrises(sensor), GazeEstimator(actor), make_insides(actor.neutral, actor.triangles)
     repeat = [r for r in results[len(results) // 2 :] if r.tracked]
     columns, triangles = [], frontal_triangles(actor)
     for result in distinct(repeat, count):
-        frame, mesh = sensor.read(result.index), result.in_camera(result.v4)
+        frame, mesh = looking.read(result.index), result.in_camera(result.v4)
+        gaze = np.nan_to_num(eyes.see(result, frame))
+        skin = np.tile(np.array(SKIN, float), (len(mesh), 1))
+        head, faces, colours = completed(insides, result.v4, triangles, skin, gaze)
         view = face_view(sensor.camera, mesh[None, actor.frontal], 300)
         colour = view.crop(frame.colour, frame.depth)
         added = np.linalg.norm(result.v4 - result.v1, axis=1)
@@ -114,10 +126,11 @@ def performance(actor, results, sensor, count: int = 7, top: float = 3.0) -> Non
             [
                 colour,
                 view.crop(depth_picture(frame.depth), frame.depth),
-                shaded_overlay(colour, view, mesh, triangles),
+                shaded_overlay(colour, view, result.in_camera(head), faces, colours),
                 heat_overlay(colour, view, mesh, triangles, added, (0, top)),
             ]
         )
+    looking.close()
     high = min(len(column[0]) for column in columns)
     rows = [np.hstack([image[:high] for image in row]) for row in zip(*columns, strict=True)]
     wide = rows[0].shape[1]

@@ -12,11 +12,12 @@ from export_scene import tracked_result
 from adaptiveface.camera import Camera
 from adaptiveface.export.animation import actor_animation
 from adaptiveface.export.inside_parts import actor_insides, with_insides
-from adaptiveface.frame import DetectedFace, Features2D, RgbdFrame
-from adaptiveface.gaze import IRIS_CENTRES, GazeEstimator, GazeTrack
+from adaptiveface.frame import IRIS_CENTRES, DetectedFace, Features2D, RgbdFrame
+from adaptiveface.gaze import GazeEstimator, GazeTrack
 from adaptiveface.insides import make_insides
 from adaptiveface.insides.head import gaze_rotation
 from adaptiveface.insides.parts import CORNEA
+from adaptiveface.landmarks.irises import WithIrises
 from adaptiveface.livelink import ARKIT_NAMES
 from adaptiveface.livelink.convention import eye_angles, eyes_of_gaze, with_look
 from adaptiveface.mesh import rotation_vector_matrix, surface_points, transform_points
@@ -75,6 +76,9 @@ def test_closed_turned_and_unseen_eyes_are_unknown(scene):
     features = seen(actor, pose, straight)
     away = replace(features, confidence=np.zeros(40))
     bare = replace(features, face=DetectedFace(features.face.mesh[:468]))
+    one = replace(features, face=None, irises=np.vstack([features.iris_centres[0], [np.nan, np.nan]]))
+    half = estimator.measure(actor.neutral, pose, CAMERA, one)
+    assert np.isfinite(half[0]).all() and np.isnan(half[1]).all()
     for found in (away, bare, replace(features, face=None), None):
         assert np.isnan(estimator.measure(actor.neutral, pose, CAMERA, found)).all()
     assert not GazeEstimator(replace(actor, triangles=actor.triangles[:-1])).available
@@ -147,6 +151,24 @@ def test_a_frame_gives_its_gaze(scene):
     np.testing.assert_allclose(GazeTrack(actor).see(tracked, frame), gaze, atol=1e-6)
     lost = SimpleNamespace(tracked=False)
     np.testing.assert_array_equal(GazeTrack(actor).see(lost, frame), 0)
+
+
+def test_irises_are_found_beside_features_that_come_without(scene):
+    actor, pose = scene[0], head_pose()
+    gaze = np.array([[0.1, 0.2], [0.1, 0.2]])
+    known = seen(actor, pose, gaze)
+    bare = RgbdFrame(
+        np.zeros((480, 640), np.float32), CAMERA, np.zeros((480, 640, 3), np.uint8), features=replace(known, face=None)
+    )
+    detector = SimpleNamespace(detect=lambda frame: seen(actor, pose, gaze, shift=(2.0, -3.0)), close=lambda: None)
+    source = WithIrises(SimpleNamespace(name="take", read=lambda index: bare), detector)
+    frame = source.read(0)
+    assert source.name == "take" and frame.features.pixels is bare.features.pixels
+    np.testing.assert_allclose(frame.features.irises, known.iris_centres)  # that the detector is off by pixels does not count
+    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, rigid=pose)
+    np.testing.assert_allclose(GazeTrack(actor).see(tracked, frame), gaze, atol=1e-6)
+    colourless = replace(bare, colour=None)
+    assert WithIrises(SimpleNamespace(read=lambda index: colourless), detector).read(0) is colourless
 
 
 def test_results_take_it_even_where_the_last_frame_was_interrupted(scene):

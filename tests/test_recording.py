@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -14,6 +15,7 @@ from adaptiveface.errors import FileFormatError, FrameError, ParameterError, Tra
 from adaptiveface.frame import FEATURE_IDS, Features2D, RgbdFrame
 from adaptiveface.pipeline import capture_from
 from adaptiveface.sensors import FrameSource, Recording, RecordingWriter, open_source
+from adaptiveface.sensors.orientation import mirrored, turned
 
 CAMERA = Camera(24, 16, 30.0, 31.0, 11.5, 7.5)
 
@@ -52,6 +54,32 @@ def test_what_is_written_is_read_back(folder):
         np.testing.assert_allclose(frame.features.pixels, truth.features.pixels, atol=1e-4)
         np.testing.assert_allclose(frame.features.confidence, truth.features.confidence, atol=1e-4)
     assert not list(folder.rglob("*.part"))
+
+
+def test_irises_are_kept_in_a_table_of_their_own(folder, tmp_path):
+    assert not (folder / "irises.csv").exists() and Recording(folder).read(0).features.irises is None
+    seen = np.array([[12.5, 6.25], [4.0, 5.5]])
+    with RecordingWriter(tmp_path / "looking", CAMERA, fps=25) as writer:
+        for irises in (seen, None, [[np.nan, np.nan], seen[1]]):
+            frame = make_frame(0)
+            irises = None if irises is None else np.array(irises)
+            writer.write(dataclasses.replace(frame, features=dataclasses.replace(frame.features, irises=irises)))
+    assert (tmp_path / "looking/irises.csv").read_text().splitlines()[:2] == ["frame,eye,u,v", "0,left,12.5000,6.2500"]
+    frames = [Recording(tmp_path / "looking").read(k).features for k in range(3)]
+    np.testing.assert_array_equal(frames[0].iris_centres, seen)
+    assert frames[1].iris_centres is None and np.isnan(frames[2].irises[0]).all()
+    for quarters in range(1, 5):
+        frame = Recording(tmp_path / "looking").read(0)
+        for _ in range(quarters):
+            frame = turned(frame, 1)
+        np.testing.assert_allclose(
+            frame.features.irises, turned(Recording(tmp_path / "looking").read(0), quarters).features.irises
+        )
+    np.testing.assert_allclose(frame.features.irises, seen)
+    np.testing.assert_allclose(mirrored(frame).features.irises, [[19.0, 5.5], [10.5, 6.25]])  # 23 - u: the right eye is left
+    (tmp_path / "looking/irises.csv").write_text("frame,eye,u,v\n0,middle,1,2\n")
+    with pytest.raises(FileFormatError, match="line 2: eye = 'middle' is neither left nor right"):
+        Recording(tmp_path / "looking")
 
 
 def test_depth_is_stored_in_the_layout_of_the_contract(folder):

@@ -112,6 +112,11 @@ def add_track(commands) -> None:
     track.add_argument("--out", type=Path, required=True, metavar="result.npz")
     track.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
     add_neutral_frames(track)
+    track.add_argument(
+        "--irises",
+        action="store_true",
+        help="where features come without irises, find these in the colour images, for the gaze",
+    )
     track.add_argument("--keep-stages", action="store_true", help="also store v1, v2 and v3")
     track.add_argument("--report", type=Path, metavar="DIR", help="write report.html there")
     add_settings(track)
@@ -128,6 +133,7 @@ def run_track(args: argparse.Namespace) -> int:
         if args.report.is_dir():
             check_output(args.report / "report.html", "html", inputs)
     from ..actor import Actor
+    from ..landmarks.irises import WithIrises
     from ..pipeline import TrackingInterrupted, capture_from, track_to_file
     from ..rows import discard, unfinished_folder
 
@@ -142,12 +148,16 @@ def run_track(args: argparse.Namespace) -> int:
             still_frames = len(take.frames) if take.leading else 0
 
         actor = capture_from(source, chosen, args.neutral_frames, progress=True, on_take=on_take)
+    performed = WithIrises(source) if args.irises else source
     try:
-        result = track_to_file(source, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
+        result = track_to_file(performed, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
     except TrackingInterrupted as interruption:
         _save_partial(interruption.result, args.out)
         discard(unfinished_folder(args.out))
         raise
+    finally:
+        if args.irises:
+            performed.close()
     print(f"{args.out}: {result.summary()}")
     if args.report:
         _report(result, source, actor, args.report, still_frames=still_frames)

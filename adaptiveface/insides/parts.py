@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Angles (degrees from the gaze) of the rings of an eyeball's mesh, and where pupil, iris and limbus end.
-RINGS = (0.0, 7.0, 13.0, 13.2, 20.0, 27.0, 29.0, 29.2, 36.0, 45.0, 57.0, 72.0, 90.0, 112.0, 140.0, 180.0)
-PUPIL, IRIS, LIMBUS = 13.1, 28.0, 29.1
+#: Angles (degrees from the gaze) of the rings of an eyeball's mesh, and where pupil, iris and limbus end: on the model's
+#: eyeballs, whose radius is 16 mm, an iris as wide as people's (11.7 mm).
+RINGS = (0.0, 4.5, 8.5, 8.7, 14.0, 19.5, 20.9, 21.1, 28.0, 38.0, 52.0, 70.0, 90.0, 112.0, 140.0, 180.0)
+PUPIL, IRIS, LIMBUS = 8.6, 20.0, 21.0
 SECTORS = 20
 #: The cornea's height over the ball, as a share of its radius.
 CORNEA = 0.045
@@ -45,7 +46,7 @@ def eyeball_mesh(iris: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np
     colours = np.full((len(unit), 3), WHITE, float)
     shade = np.clip((from_gaze - PUPIL) / (IRIS - PUPIL), 0, 1)[:, None]
     colours[from_gaze < LIMBUS] = ((0.75 + 0.45 * shade) * np.array(iris))[from_gaze < LIMBUS]
-    colours[(from_gaze > 26.5) & (from_gaze < LIMBUS)] *= 0.45
+    colours[(from_gaze > 19.1) & (from_gaze < LIMBUS)] *= 0.45
     colours[from_gaze < PUPIL] = BLACK
     # The cornea: a low dome over the iris catches the light.
     dome = 1 + CORNEA * np.cos(np.clip(from_gaze / LIMBUS, 0, 1) * np.pi / 2)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from ..camera import Camera
-from ..insides import make_insides
+from ..insides import Insides, make_insides
 from ..mesh import transform_points
 from ..rendering import covering_window, heat_map, ray_cast, shade
 
@@ -82,10 +82,23 @@ def wire_overlay(background: np.ndarray, view: View, vertices: np.ndarray, trian
     return (background * (1 - strength) + _WIRE * strength).astype(np.uint8)
 
 
-def shaded_overlay(background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The shaded mesh over an image (h, w, 3)."""
+def shaded_overlay(background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray, albedo=SKIN) -> np.ndarray:
+    """The shaded mesh over an image (h, w, 3); albedo (3,) or (N, 3) in 0..255."""
     hits = ray_cast(view.camera, vertices, triangles, cull=True)
-    return shade(hits, vertices, triangles, SKIN, camera=view.camera, background=background)
+    return shade(hits, vertices, triangles, albedo, camera=view.camera, background=background)
+
+
+def completed(
+    insides: Insides | None, head: np.ndarray, triangles: np.ndarray, colours: np.ndarray, gaze: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, triangles and colours of a head (N, 3) mm, head frame, with the parts inside it; colours (N, 3)."""
+    if insides is None:
+        return head, triangles, colours
+    return (
+        np.concatenate([head, insides.at(head, gaze)]),
+        np.concatenate([triangles, insides.triangles + len(head)]),
+        np.concatenate([colours, insides.colours]),
+    )
 
 
 def heat_overlay(
@@ -120,11 +133,7 @@ class Portraits:
     def draw(self, head: np.ndarray, values: np.ndarray | None = None, limits=None, turn: float = 0.0) -> np.ndarray:
         """(h, w, 4) RGBA of a head (N, 3) turned by ``turn`` degrees; ``values`` (N,) between ``limits`` colour it."""
         colours = np.tile(np.array(SKIN, float), (len(head), 1)) if values is None else heat_map(values, limits)
-        vertices, triangles = head, self.actor.triangles
-        if self._insides is not None:
-            vertices = np.concatenate([head, self._insides.at(head)])
-            colours = np.concatenate([colours, self._insides.colours])
-            triangles = np.concatenate([triangles, self._insides.triangles + len(head)])
+        vertices, triangles, colours = completed(self._insides, head, self.actor.triangles, colours)
         vertices = transform_points(self._pose(turn), vertices)
         hits = ray_cast(self.camera, vertices, triangles, cull=True)
         # Through the open mouth one sees the inside of the back of the head: that is the dark of the mouth.

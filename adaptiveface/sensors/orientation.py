@@ -39,8 +39,10 @@ def mirrored(frame: RgbdFrame) -> RgbdFrame:
     """``frame`` flipped left to right; what was the left eye in its features is the right one. Keeps the frame's class."""
     camera, features = frame.camera, frame.features
     if features is not None:
-        pixels = features.pixels[_SWAP] * [-1.0, 1.0] + [camera.width - 1.0, 0.0]
-        features = Features2D(pixels, features.confidence[_SWAP])
+        flip, right = [-1.0, 1.0], [camera.width - 1.0, 0.0]
+        irises = features.iris_centres
+        irises = None if irises is None else irises[::-1] * flip + right
+        features = Features2D(features.pixels[_SWAP] * flip + right, features.confidence[_SWAP], irises=irises)
     return dataclasses.replace(
         frame,
         depth=np.ascontiguousarray(frame.depth[:, ::-1]),
@@ -56,11 +58,13 @@ def turned(frame: RgbdFrame, quarters: int) -> RgbdFrame:
         return frame
     features = frame.features
     if features is not None:
-        pixels = features.pixels
+        irises = features.iris_centres
+        pixels = features.pixels if irises is None else np.concatenate([features.pixels, irises])
         for step in range(quarters % 4):
             side = frame.camera.width if step % 2 == 0 else frame.camera.height
             pixels = np.stack([pixels[:, 1], side - 1.0 - pixels[:, 0]], axis=1)
-        features = Features2D(pixels, features.confidence)
+        count = len(features.pixels)
+        features = Features2D(pixels[:count], features.confidence, irises=None if irises is None else pixels[count:])
     return dataclasses.replace(
         frame,
         depth=np.ascontiguousarray(np.rot90(frame.depth, quarters)),

@@ -5,6 +5,7 @@
     depth/00000.png          16-bit, 0 = no measurement
     timestamps.csv           optional: frame,timestamp (s)
     features.csv             optional: frame,feature,u,v,confidence (iBUG-68 number; pixels of the depth image)
+    irises.csv               optional: frame,eye,u,v (left or right of the subject; pixels), beside features.csv
     intrinsics.csv           optional: frame,fx,fy,cx,cy (px): frames whose camera is not the one of intrinsic.json
 
 Numbers in file names and tables are those of the frames; the lowest one present is index 0. A number without files
@@ -15,6 +16,7 @@ opening, what is wrong with one frame raises :class:`FrameError` on reading it.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +31,14 @@ from .numbered import NumberedFrames
 from .tables import (
     CAMERA_COLUMNS,
     FEATURE_COLUMNS,
+    IRIS_COLUMNS,
     TIMESTAMP_COLUMNS,
     camera_row,
     feature_rows,
+    iris_rows,
     read_features,
     read_frame_cameras,
+    read_irises,
     read_timestamps,
     timestamp_row,
 )
@@ -72,6 +77,9 @@ class Recording(NumberedFrames):
         times = read_timestamps(self.path / "timestamps.csv", frames, self.fps)
         self.timestamps, self.notes = times.seconds, times.notes
         self._features = read_features(self.path / "features.csv", frames)
+        for number, irises in read_irises(self.path / "irises.csv", frames).items():
+            if self._features is not None and number in self._features:
+                self._features[number] = replace(self._features[number], irises=irises)
         self._cameras = read_frame_cameras(self.path / "intrinsics.csv", frames, self.camera)
 
     @property
@@ -124,9 +132,9 @@ class Recording(NumberedFrames):
 class RecordingWriter:
     """Writes frames in the layout that :class:`Recording` reads; every image appears whole or not at all.
 
-    The tables, timestamps.csv and (where any frame has features) features.csv, grow row by row with the frames: the folder
-    is a readable recording at any moment, and nothing of it waits in memory. ``depth_scale`` units per metre (1 to 65,535
-    of them are stored); ``colour_format`` "jpg" (quality 95) or "png" (lossless).
+    The tables, timestamps.csv and (where any frame has them) features.csv and irises.csv, grow row by row with the frames:
+    the folder is a readable recording at any moment, and nothing of it waits in memory. ``depth_scale`` units per metre (1
+    to 65,535 of them are stored); ``colour_format`` "jpg" (quality 95) or "png" (lossless).
     Use as a context manager, or call :meth:`close`.
     """
 
@@ -149,6 +157,7 @@ class RecordingWriter:
         self._write_intrinsics()
         self._timestamps = GrowingTable(self.path / "timestamps.csv", TIMESTAMP_COLUMNS)
         self._features = GrowingTable(self.path / "features.csv", FEATURE_COLUMNS)
+        self._irises = GrowingTable(self.path / "irises.csv", IRIS_COLUMNS)
         self._cameras = GrowingTable(self.path / "intrinsics.csv", CAMERA_COLUMNS)
         self._timestamps.append([])
 
@@ -173,6 +182,9 @@ class RecordingWriter:
         number = self.reserved
         if frame.features is not None:
             self._features.append(feature_rows(number, frame.features))
+            irises = iris_rows(number, frame.features)
+            if irises:
+                self._irises.append(irises)
         if frame.camera != self.camera:
             self._cameras.append([camera_row(number, frame.camera)])
             self.moving_lens = True
@@ -190,7 +202,7 @@ class RecordingWriter:
 
     def close(self) -> None:
         """Give the tables back; everything is on the disk already. A second time does nothing."""
-        for table in (self._timestamps, self._features, self._cameras):
+        for table in (self._timestamps, self._features, self._irises, self._cameras):
             table.close()
 
     def __enter__(self) -> RecordingWriter:

@@ -1,5 +1,5 @@
-"""The tables of a recording: timestamps.csv (frame,timestamp), features.csv (frame,feature,u,v,confidence) and
-intrinsics.csv (frame,fx,fy,cx,cy)."""
+"""The tables of a recording: timestamps.csv (frame,timestamp), features.csv (frame,feature,u,v,confidence),
+irises.csv (frame,eye,u,v) and intrinsics.csv (frame,fx,fy,cx,cy)."""
 
 from __future__ import annotations
 
@@ -20,6 +20,9 @@ from .intrinsics import camera_of
 TIMESTAMP_COLUMNS = ("frame", "timestamp")
 CAMERA_COLUMNS = ("frame", "fx", "fy", "cx", "cy")
 FEATURE_COLUMNS = ("frame", "feature", "u", "v", "confidence")
+IRIS_COLUMNS = ("frame", "eye", "u", "v")
+#: The subject's eyes, in the order of :attr:`~adaptiveface.frame.Features2D.iris_centres`.
+EYES = ("left", "right")
 #: A table may name so many frames, whatever the number of images: what is left when a take is cut.
 _FREE_FRAMES, _MOST_PER_FRAME = 20_000, 4
 _MAX_LINE_BYTES = 100
@@ -66,6 +69,21 @@ def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
     return found
 
 
+def read_irises(path: Path, frames: range) -> dict[int, np.ndarray]:
+    """Frame number -> (2, 2) pixels of the iris centres, NaN where not seen; empty without the file."""
+    found: dict[int, np.ndarray] = {}
+    if not path.exists():
+        return found
+    for line, (frame, eye, u, v) in _rows(path, IRIS_COLUMNS, 2 * _most_frames(frames)):
+        number = _int(path, line, "frame", frame)
+        if eye not in EYES:
+            raise FileFormatError(f"{path}: line {line}: eye = {abbreviated(eye)!r} is neither left nor right")
+        pixel = (_float(path, line, "u", u), _float(path, line, "v", v))
+        if number in frames and all(abs(coordinate) < 1e6 for coordinate in pixel):
+            found.setdefault(number, np.full((2, 2), np.nan))[EYES.index(eye)] = pixel
+    return found
+
+
 def read_frame_cameras(path: Path, frames: range, camera: Camera) -> dict[int, Camera]:
     """Frame number -> camera of every frame that intrinsics.csv lists; empty without the file.
 
@@ -100,6 +118,14 @@ def feature_rows(frame: int, seen: Features2D) -> list[tuple]:
         for slot, (u, v) in enumerate(seen.pixels)
         if seen.valid[slot]
     ]
+
+
+def iris_rows(frame: int, seen: Features2D) -> list[tuple]:
+    """The rows of a frame in irises.csv: one per eye whose iris was seen."""
+    centres = seen.iris_centres
+    if centres is None:
+        return []
+    return [(frame, eye, f"{u:.4f}", f"{v:.4f}") for eye, (u, v) in zip(EYES, centres, strict=True) if np.isfinite(u + v)]
 
 
 def _rows(path: Path, columns: tuple[str, ...], most: int) -> Iterator[tuple[int, list[str]]]:

@@ -1,0 +1,50 @@
+"""Irises for recordings whose features come without them, so that their gaze is known."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..frame import FEATURE_IDS, Features2D, RgbdFrame
+from .detector import FeatureDetector
+
+#: Rows of the eyes' corners among the features, the subject's left eye first.
+_CORNERS = np.searchsorted(FEATURE_IDS, [[42, 45], [36, 39]])
+
+
+class WithIrises:
+    """A source whose frames have irises too, found in their colour images; otherwise what ``source`` is."""
+
+    def __init__(self, source, detector: FeatureDetector | None = None) -> None:
+        self._source, self._detector = source, detector
+
+    def __getattr__(self, name: str):
+        return getattr(self._source, name)
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def close(self) -> None:
+        """Free the detector; the source stays open."""
+        if self._detector is not None:
+            self._detector.close()
+
+    def read(self, index: int) -> RgbdFrame:
+        """As the source's; frames without features or colour, or with irises already, pass unchanged."""
+        frame = self._source.read(index)
+        features = frame.features
+        if features is None or frame.colour is None or features.iris_centres is not None:
+            return frame
+        if self._detector is None:
+            self._detector = FeatureDetector()
+        found = self._detector.detect(frame)
+        irises = None if found is None else beside(features, found)
+        return dataclasses.replace(frame, features=dataclasses.replace(features, irises=irises))
+
+
+def beside(features: Features2D, found: Features2D) -> np.ndarray | None:
+    """(2, 2) pixels of the irises of ``found``, moved so that the corners of each eye meet those of ``features``."""
+    if found.iris_centres is None:
+        return None
+    return found.iris_centres + (features.pixels[_CORNERS] - found.pixels[_CORNERS]).mean(axis=1)
