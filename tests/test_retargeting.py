@@ -17,11 +17,11 @@ from adaptiveface.blendshapes import deformation_transfer
 from adaptiveface.errors import FileFormatError, ParameterError
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.mesh import transform_points
-from adaptiveface.parameters import Parameters
+from adaptiveface.parameters import BlendshapeParameters, Parameters
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.retargeting.character import Character, load_character
 from adaptiveface.retargeting.correctives import character_correctives, transferred_correctives
-from adaptiveface.retargeting.resolve import SparseResolve, blendshape_parameters
+from adaptiveface.retargeting.resolve import blendshape_parameters
 from adaptiveface.retargeting.retarget import driving_coefficients, head_frames, increasing, retarget
 from adaptiveface.retargeting.smoothing import (
     COMPARED,
@@ -35,6 +35,7 @@ from adaptiveface.retargeting.smoothing import (
 from adaptiveface.synthetic.performer import Performer
 from adaptiveface.synthetic.script import performance
 from adaptiveface.tracking.expression import BlendshapeFit
+from adaptiveface.tracking.resolve import SparseResolve
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synth"))
 from evaluate_retargeting import SameStyle, coefficient_errors, performances  # noqa: E402
@@ -63,7 +64,9 @@ def test_initial_and_resolved_drive_the_curves(scene):
 def test_plain_resolve_is_exact_on_a_blendshape_mesh():
     actor = exact_actor()
     x = np.random.default_rng(0).uniform(0, 0.9, 23)
-    solved = SparseResolve(actor, actor.expression_names, sparsity=0.0, ridge=1e-6)(posed_shape(actor, x))
+    solved = SparseResolve.of(actor, actor.expression_names, BlendshapeParameters(sparsity=0.0, ridge=1e-6))(
+        posed_shape(actor, x)
+    )
     np.testing.assert_allclose(solved, x, atol=1e-4)
 
 
@@ -72,7 +75,7 @@ def test_sparse_resolve_keeps_the_expressions_that_are_there_and_drops_the_rest(
     x = np.zeros(23)
     x[[0, 5, 20]] = 0.6, 0.8, 0.5
     noise = np.random.default_rng(1).normal(0, 0.3, actor.neutral.shape)
-    solved = SparseResolve(actor, actor.expression_names)(posed_shape(actor, x) + noise)
+    solved = SparseResolve.of(actor, actor.expression_names)(posed_shape(actor, x) + noise)
     size = np.linalg.norm(actor.blendshapes[:, actor.frontal].reshape(23, -1), axis=1)
     assert (np.abs(solved - x) < 2.5 * np.sqrt(actor.frontal.sum() / 3500) / size + 0.02).all()  # the lasso's shrinkage
     assert (solved[x == 0] == 0).mean() > 0.9
@@ -82,7 +85,7 @@ def test_resolve_minimises_its_energy():
     actor = exact_actor()
     rng = np.random.default_rng(2)
     mesh = posed_shape(actor, rng.uniform(0, 0.5, 23)) + rng.normal(0, 0.5, actor.neutral.shape)
-    x = SparseResolve(actor, actor.expression_names, 2.5, 10.0)(mesh)
+    x = SparseResolve.of(actor, actor.expression_names, BlendshapeParameters(sparsity=2.5, ridge=10.0))(mesh)
     basis = actor.blendshapes[:, actor.frontal].reshape(23, -1)
     wanted = (mesh - actor.neutral)[actor.frontal].ravel()
     scale = 2.5 * np.sqrt(actor.frontal.sum() / 3500)
@@ -136,7 +139,7 @@ def test_a_results_own_parameters_are_read_whatever_else_stands_there(scene):
 
 def test_resolve_refuses_another_actor(scene):
     with pytest.raises(FileFormatError, match="wiggleEars"):
-        SparseResolve(scene[0], ["jawOpen", "wiggleEars"])
+        SparseResolve.of(scene[0], ["jawOpen", "wiggleEars"])
 
 
 @pytest.mark.slow
@@ -163,7 +166,7 @@ def pairs():
         v4 = np.stack([a.shape(row) for row in script])
         rig = [deformation_transfer(model.mean, head.neutral, model.triangles, model.generic_expressions) for head in (a, b)]
         actor = replace(exact_actor(), neutral=a.neutral, blendshapes=rig[0])
-        resolve = SparseResolve(actor, actor.expression_names)
+        resolve = SparseResolve.of(actor, actor.expression_names)
         x = np.stack([resolve(shape) for shape in v4])
         v1 = a.neutral + np.tensordot(x, rig[0], axes=1)
         alone = b.neutral + np.tensordot(x, rig[1], axes=1)

@@ -11,8 +11,9 @@ from ..mesh import transform_points
 from ..parameters import Parameters
 from ..pipeline import track_source
 from ..retargeting.arkit import ARKIT_NAMES, arkit_weights
-from ..retargeting.resolve import SparseResolve, blendshape_parameters
+from ..retargeting.resolve import blendshape_parameters
 from ..synthetic.sensor import SyntheticSensor
+from ..tracking.resolve import SparseResolve
 
 #: How a coefficient vector came about: the fit to the depth map (section 4.2), and two ways to solve once more from v4.
 INITIAL, PLAIN, RESOLVED = "initial", "plain fit to v4", "re-solved"
@@ -55,7 +56,7 @@ def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, act
     """Initial and re-solved coefficients of a tracked :func:`known_performance` beside the truth (frames, A)."""
     part = slice(sensor.neutral_frames, None)
     names = tuple(result.expression_names)
-    plain = SparseResolve.as_tracked(actor, names, replace(blendshape_parameters(result), sparsity=0.0))
+    plain = SparseResolve.of(actor, names, replace(blendshape_parameters(result), sparsity=0.0))
     heads = (
         transform_points(np.linalg.inv(rigid.astype(float)), v4.astype(float))
         for rigid, v4 in zip(result.rigid[part], result.vertices[part], strict=True)

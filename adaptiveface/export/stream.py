@@ -17,8 +17,8 @@ from ..livelink.packet import LiveLinkFrame, encode
 from ..parameters import BlendshapeParameters
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.arkit_resolve import ArkitResolve
-from ..retargeting.resolve import SparseResolve
 from ..retargeting.smoothing import Smoothing
+from ..tracking.resolve import SparseResolve
 from ..tracking.types import TrackedFrame
 from .animation import METRES, view_motion
 from .messages import FaceState, Message, VmcAvatar, osc_messages, vmc_messages
@@ -73,7 +73,7 @@ class Streamer:
     ) -> None:
         names, parameters = actor.expression_names[:count], parameters or BlendshapeParameters()
         self._weights = arkit_weights(names)
-        self._resolve = SparseResolve.as_tracked(actor, names, parameters)
+        self._resolve = SparseResolve.of(actor, names, parameters)
         self._halves = ArkitResolve(actor, parameters) if halves else None
         self.unknown = () if halves else self._weights.unknown
         self._smoothing, self._state, self._before = smoothing, None, None

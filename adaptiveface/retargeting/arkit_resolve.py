@@ -20,7 +20,7 @@ from ..errors import ParameterError
 from ..face_model import embedded_face_model
 from ..livelink import ARKIT_NAMES
 from ..parameters import BlendshapeParameters
-from .resolve import SparseResolve
+from ..tracking.resolve import SparseResolve
 
 
 @lru_cache(maxsize=1)
@@ -47,7 +47,7 @@ class ArkitResolve:
         rows = [model.expression_names.index(name) for name in names]
         shapes = deformation_transfer(model.mean, actor.neutral, model.triangles, model.expressions[rows])
         rig = replace(actor, blendshapes=shapes, expression_names=names)
-        self._solve = SparseResolve.as_tracked(rig, names, parameters or BlendshapeParameters())
+        self._solve = SparseResolve.of(rig, names, parameters)
         self._columns = [ARKIT_NAMES.index(name) for name in names]
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:

@@ -16,11 +16,12 @@ from ..mesh import transform_points
 from ..result import Result
 from ..result_access import time_table
 from ..timing import frame_rate, increasing
+from ..tracking.resolve import SparseResolve
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights
 from .arkit_resolve import ArkitResolve, unit_names
 from .character import Character
-from .resolve import SparseResolve, blendshape_parameters
+from .resolve import blendshape_parameters
 from .smoothing import Smoothing
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def driving_coefficients(result: Result, coefficients: str = "resolved", actor: 
         return result.coefficients_initial.astype(float)
     if actor is None:
         return result.coefficients.astype(float)
-    resolve = SparseResolve.as_tracked(actor, result.expression_names, blendshape_parameters(result))
+    resolve = SparseResolve.of(actor, result.expression_names, blendshape_parameters(result))
     out = np.empty((len(result), len(result.expression_names)))
     for part, meshes in head_blocks(result):
         out[part] = [resolve(v4, x) for v4, x in zip(meshes, result.coefficients[part], strict=True)]

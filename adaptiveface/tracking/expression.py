@@ -1,4 +1,4 @@
-"""Fitting with the initial blendshapes (section 4.2) and re-solving coefficients for retargeting (section 6)."""
+"""Fitting with the initial blendshapes (section 4.2)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from ..parameters import BlendshapeParameters
 from ..registration.association import find_correspondences
 from ..registration.step import apply_rigid_update
 from ..registration.surface import DepthSurface
-from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
+from .bounded import BoundedSolver, bounded_least_squares
 from .feature_rows import feature_rows
+from .resolve import SparseResolve
 
 #: (a x b)_i = CROSS_ijk a_j b_k
 CROSS = np.array([np.cross(axis, np.eye(3)).T for axis in np.eye(3)]).transpose(1, 0, 2)
@@ -127,10 +128,8 @@ class BlendshapeFit:
         self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[corners])
         self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, corners])
         self._flat = self.basis.reshape(count, -1).astype(np.float32)
-        frontal = self.basis[:, actor.frontal].reshape(count, -1)
-        self._frontal, self._frontal_gram = np.flatnonzero(actor.frontal), frontal @ frontal.T
-        self._frontal_basis = frontal.astype(np.float32)
-        self._penalty = sparsity_penalty(self._frontal_gram, parameters.sparsity, int(actor.frontal.sum()))
+        #: Section 6: the re-solve of the final mesh, ``resolve(vertices (N, 3), start (A,))``.
+        self.resolve = SparseResolve(actor, self.basis, parameters, np.float32, solver)
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """v1 = b0 + B x, (N, 3) in the head frame."""
@@ -220,38 +219,3 @@ class BlendshapeFit:
         reduced = h[6:, 6:] - h[6:, :6] @ eliminated[:, :-1]
         x = self._solver(reduced, g[6:] - h[6:, :6] @ eliminated[:, -1], lower, upper, x)
         return x, lambda x: eliminated[:, -1] - eliminated[:, :-1] @ x
-
-    def resolve(self, vertices: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Section 6: few bounded coefficients (A,) that explain a head-frame mesh (N, 3) over the frontal region.
-
-        ``x`` (A,) a first guess. See :func:`sparsity_penalty` for the departure from the paper.
-        """
-        displacement = (vertices[self._frontal] - self.neutral[self._frontal]).ravel().astype(np.float32)
-        lower, upper = np.full(len(x), self.parameters.lower), np.full(len(x), self.parameters.upper)
-        h = self._frontal_gram + self.parameters.ridge * np.eye(len(x))
-        return few_coefficients(h, self._frontal_basis @ displacement, self._penalty, lower, upper, x, self._solver)
-
-
-def few_coefficients(h, g, penalty, lower, upper, start, solver: BoundedSolver = bounded_least_squares) -> np.ndarray:
-    """(A,) the minimum of x^T H x / 2 - g^T x + sum_k penalty_k |x_k| within bounds (A,); ``start`` (A,) or None.
-
-    Where no coefficient may be negative, the penalty is linear, and the plain bounded ``solver`` does it.
-    """
-    if (lower >= 0.0).all():
-        return solver(h, g - penalty, lower, upper, start)
-    return sparse_least_squares(h, g, penalty, lower, upper, start)
-
-
-#: ``blendshapes.sparsity`` is stated for a face of this many frontal vertices.
-SPARSITY_VERTICES = 3500
-
-
-def sparsity_penalty(gram: np.ndarray, sparsity: float, vertices: int) -> np.ndarray:
-    """(A,) half the weights of sum_k w_k |x_k| in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
-
-    v4 holds more than the blendshapes can express, and a plain bounded fit spreads that over many small coefficients: it
-    comes out no closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use few
-    expressions at a time, so each must explain at least ``sparsity`` mm (root of the summed squares over the face) to
-    take part: a lasso (Tibshirani 1996) within the coefficients' bounds that weighs every expression by its size |b_k|.
-    """
-    return sparsity * np.sqrt(vertices / SPARSITY_VERTICES) * np.sqrt(np.diag(gram))

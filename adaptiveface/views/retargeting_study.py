@@ -9,13 +9,14 @@ import ipywidgets as widgets
 import numpy as np
 
 from ..mesh import rotation_vector_matrix
+from ..parameters import BlendshapeParameters
 from ..pipeline import one_blas_thread
 from ..retargeting import BUILT_IN
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
 from ..retargeting.correctives import transferred_correctives
 from ..retargeting.portrait import FACING, portrait
-from ..retargeting.resolve import SPARSITY, SparseResolve
+from ..tracking.resolve import SparseResolve
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
 from .kernel import on_main_thread, shown_errors
@@ -25,6 +26,8 @@ from .session import Session
 from .sliders import TypedNumbers, ValueSlider, linear_steps
 from .turntable import Turntable
 
+#: The package's own price of an expression, mm.
+SPARSITY = BlendshapeParameters().sparsity
 #: What drives the faces.
 SLIDERS, INITIAL, RESOLVED, CORRECTIVES = "sliders", "initial", "re-solved", "re-solved + correctives"
 #: One character by all three instead of all characters by one of them (the paper's figure 8).
@@ -100,7 +103,7 @@ class RetargetingStudy:
         return self.resolved
 
     def _resolved(self, sparsity: float) -> np.ndarray:
-        resolve = SparseResolve(self.actor, self.names, sparsity)
+        resolve = SparseResolve.of(self.actor, self.names, BlendshapeParameters(sparsity=sparsity))
         return np.array([resolve(r.v4, r.coefficients) for r in self.results])
 
     def _to_sliders(self, redraw) -> None:

@@ -1,0 +1,99 @@
+"""Re-solving coefficients from a final mesh (section 6): in every frame of the tracker, and afterwards for retargeting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ..actor import Actor
+from ..errors import FileFormatError
+from ..parameters import BlendshapeParameters
+from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
+
+#: ``blendshapes.sparsity`` is stated for a face of this many frontal vertices.
+SPARSITY_VERTICES = 3500
+
+
+class SparseResolve:
+    """Finds few bounded coefficients that explain a mesh over the frontal region.
+
+    Departure from the paper: see :func:`sparsity_penalty`. With ``sparsity`` 0 this is the plain bounded fit.
+
+    Parameters
+    ----------
+    actor
+        Its neutral and frontal region count.
+    basis : (A, N, 3)
+        Expressions as displacements from the neutral, mm.
+    parameters
+        ``sparsity``, ``ridge`` and the coefficients' bounds.
+    dtype
+        Of the basis that meshes are multiplied with. Single precision halves the memory to stream in every frame; the
+        matrix of the normal equations is in double precision in both cases.
+    solver
+        Of the bounded problem.
+    """
+
+    def __init__(
+        self,
+        actor: Actor,
+        basis: np.ndarray,
+        parameters: BlendshapeParameters,
+        dtype: npt.DTypeLike = np.float64,
+        solver: BoundedSolver = bounded_least_squares,
+    ) -> None:
+        count, self._dtype, self._solver = len(basis), dtype, solver
+        self._frontal = np.flatnonzero(actor.frontal)
+        self._neutral = actor.neutral[self._frontal]
+        rows = basis[:, self._frontal].reshape(count, -1)
+        gram = rows @ rows.T
+        self._basis = rows.astype(dtype, copy=False)
+        self._penalty = sparsity_penalty(gram, parameters.sparsity, len(self._frontal))
+        self._matrix = gram + parameters.ridge * np.eye(count)
+        self._bounds = np.full(count, parameters.lower), np.full(count, parameters.upper)
+
+    @classmethod
+    def of(cls, actor: Actor, names: Sequence[str], parameters: BlendshapeParameters | None = None) -> Self:
+        """For the expressions ``names`` (A,) of an actor; raises :class:`FileFormatError` where it lacks one of them."""
+        missing = [name for name in names if name not in actor.expression_names]
+        if missing:
+            raise FileFormatError(f"the actor lacks the expressions {', '.join(missing)[:200]}")
+        rows = [actor.expression_names.index(name) for name in names]
+        return cls(actor, actor.blendshapes[rows], parameters or BlendshapeParameters())
+
+    def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+        """(A,) coefficients of a mesh (N, 3) in the head frame, mm; ``start`` (A,) is a first guess."""
+        displacement = (vertices[self._frontal] - self._neutral).ravel().astype(self._dtype, copy=False)
+        return few_coefficients(self._matrix, self._basis @ displacement, self._penalty, *self._bounds, start, self._solver)
+
+
+def few_coefficients(
+    h: np.ndarray,
+    g: np.ndarray,
+    penalty: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    start: np.ndarray | None = None,
+    solver: BoundedSolver = bounded_least_squares,
+) -> np.ndarray:
+    """(A,) the minimum of x^T H x / 2 - g^T x + sum_k penalty_k |x_k| within bounds (A,); ``start`` (A,) or None.
+
+    Where no coefficient may be negative, the penalty is linear, and the plain bounded ``solver`` does it.
+    """
+    if (lower >= 0.0).all():
+        return solver(h, g - penalty, lower, upper, start)
+    return sparse_least_squares(h, g, penalty, lower, upper, start)
+
+
+def sparsity_penalty(gram: np.ndarray, sparsity: float, vertices: int) -> np.ndarray:
+    """(A,) half the weights of sum_k w_k |x_k| in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
+
+    v4 holds more than the blendshapes can express, and a plain bounded fit spreads that over many small coefficients: it
+    comes out no closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use few
+    expressions at a time, so each must explain at least ``sparsity`` mm (root of the summed squares over the face) to
+    take part: a lasso (Tibshirani 1996) within the coefficients' bounds that weighs every expression by its size |b_k|.
+    """
+    return np.asarray(sparsity * np.sqrt(vertices / SPARSITY_VERTICES) * np.sqrt(np.diag(gram)))
