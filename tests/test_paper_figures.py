@@ -14,10 +14,12 @@ from scenes import exact_actor
 from adaptiveface.cli import main
 from adaptiveface.cli.studies import PAPER_FIGURES
 from adaptiveface.errors import ParameterError
+from adaptiveface.mesh import rotation_vector_matrix
 from adaptiveface.studies import EMOTIONS, FIGURES, PARAMETER_SETS, PaperFigure, Take, paper_figure
 from adaptiveface.studies import figure as figure_module
+from adaptiveface.studies.construction import from_truth
 from adaptiveface.studies.convergence import falls
-from adaptiveface.studies.drawing import add_scale, grid
+from adaptiveface.studies.drawing import add_scale, grid, scan_picture
 from adaptiveface.studies.out_of_space import Roughness
 
 
@@ -57,10 +59,10 @@ def test_there_is_a_module_for_each_figure_and_none_for_others(tmp_path, capsys)
     for module, title in FIGURES.values():
         found = __import__(f"adaptiveface.studies.{module}", fromlist=["draw"])
         assert callable(found.draw) and title
-    with pytest.raises(ParameterError, match="5, 6, 7, 8, 9, 11"):
-        paper_figure(4)
+    with pytest.raises(ParameterError, match="3, 4, 5, 6, 7, 8, 9, 10, 11"):
+        paper_figure(2)
     with pytest.raises(SystemExit):
-        main(["paper", "--figure", "4", "--out", str(tmp_path)])
+        main(["paper", "--figure", "2", "--out", str(tmp_path)])
     assert main(["paper", "--figure", "6", "--noise", "none at all", "--out", str(tmp_path)]) == 2
     assert "noise" in capsys.readouterr().err
 
@@ -93,6 +95,27 @@ def test_roughness_is_zero_for_a_shift_and_grows_with_noise():
     assert rough(shift) < 1e-9
     noise = np.random.default_rng(1).normal(size=shift.shape)
     assert rough(shift + 0.2 * noise) == pytest.approx(0.2 * rough(noise)) and rough(noise) > 1.5
+
+
+def test_heads_are_measured_where_depth_is_and_rigid_motion_is_no_error():
+    actor = exact_actor()
+    turned = actor.neutral @ rotation_vector_matrix(np.array([0.0, 0.05, 0.0])).T + [1.0, 2.0, 3.0]
+    distance = from_truth(turned, actor.neutral, actor)
+    scored = actor.frontal & actor.depth_valid
+    assert np.array_equal(np.isfinite(distance), scored) and distance[scored].max() < 1e-3
+    grown = from_truth(1.05 * actor.neutral, actor.neutral, actor)
+    assert np.nanmedian(grown) > 0.3
+
+
+def test_a_scan_is_drawn_from_the_front_nearest_points_last():
+    actor = exact_actor()
+    nose = actor.neutral[actor.frontal].mean(axis=0)
+    points = np.array([nose + [0, 0, 50.0], nose + [0, 0, -50.0]])
+    normals = np.array([[-0.3, 0.4, 0.87], [0.3, -0.4, -0.87]])  # lit, and turned away
+    picture = scan_picture(actor, points, normals, (60, 80))
+    background = picture[0, 0]
+    drawn = picture[(picture != background).any(axis=2)]
+    assert len(drawn) == 9 and (drawn > 140).all()  # of the near one, in the colour of skin
 
 
 def test_the_grid_has_a_cell_for_each_picture_and_takes_gaps():

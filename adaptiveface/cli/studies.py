@@ -11,7 +11,7 @@ from ..files import check_folder, check_output
 from .arguments import add_settings, parameters, whole
 
 #: As in ``studies.FIGURES``, which the command line does not load for its help.
-PAPER_FIGURES = (5, 6, 7, 8, 9, 11)
+PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
 
 
 def add_batch(commands) -> None:

@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from ..actor import Actor
-from ..report.pictures import Portraits, on_backdrop
+from ..report.pictures import SKIN, Portraits, on_backdrop
 
 BACKDROP = (235, 236, 238)
 SIZE = (230, 280)
@@ -57,3 +57,20 @@ def add_scale(figure: Figure, top: float, words: str) -> None:
     bar = figure.colorbar(scale, ax=figure.axes, shrink=0.7, fraction=0.03, pad=0.01)
     bar.set_label(words, fontsize=9)
     bar.ax.tick_params(labelsize=8)
+
+
+def scan_picture(actor: Actor, points: np.ndarray, normals: np.ndarray, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """(h, w, 3) uint8: a scan (P, 3) with normals, head frame, from the front; the width is that of the actor's face."""
+    wide, high = size
+    face = actor.neutral[actor.frontal]
+    centre, scale = (face.min(axis=0) + face.max(axis=0)) / 2, wide / (1.25 * np.ptp(face[:, 0]))
+    light = np.array([-0.3, 0.4, 0.87])
+    shade = np.clip(0.35 + 0.65 * normals @ light, 0.15, 1.0)[:, None] * SKIN
+    picture = np.full((high, wide, 3), BACKDROP, np.uint8)
+    order = np.argsort(points[:, 2])  # the nearest last
+    for step in np.ndindex(3, 3):
+        u = np.round((points[order, 0] - centre[0]) * scale + wide / 2).astype(int) + step[0] - 1
+        v = np.round((centre[1] - points[order, 1]) * scale + high / 2).astype(int) + step[1] - 1
+        inside = (u >= 0) & (u < wide) & (v >= 0) & (v < high)
+        picture[v[inside], u[inside]] = shade[order][inside]
+    return picture

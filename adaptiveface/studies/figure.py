@@ -20,11 +20,14 @@ if TYPE_CHECKING:
 
 #: Number in the paper -> the module that draws it, and what it is about.
 FIGURES = {
+    3: ("construction", "from a neutral scan to personal blendshapes"),
+    4: ("pipeline", "one frame, stage by stage"),
     5: ("influence", "the influence of each stage"),
     6: ("out_of_space", "the two deformations out of the adaptive space"),
     7: ("correctives", "the adaptive model while it learns"),
     8: ("transfer", "coefficients drive other faces"),
     9: ("emotions", "six emotions, beside a tracker that does not adapt"),
+    10: ("people", "more people, beside a tracker that does not adapt"),
     11: ("convergence", "the distance from the anchor space and from the adaptive space"),
 }
 _STYLE = {"svg.hashsalt": "adaptiveface", "svg.fonttype": "none", "image.composite_image": False}
