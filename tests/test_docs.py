@@ -137,8 +137,8 @@ def test_every_docstring_is_valid_markup(generated):
             lines = (inspect.getdoc(value) or "").splitlines()
             generated.plain_to_rst(None, "function", label, None, None, lines)
             document = utils.new_document(label, settings)
-            text = re.sub(r"^\.\. attribute::", "..", "\n".join(lines), flags=re.MULTILINE)  # Sphinx's directive
-            parser.parse(text, document)
+            # An attribute directive is unknown here: beside a dataclass's fields it would describe them twice.
+            parser.parse("\n".join(lines), document)
             bad += [f"{label}: {message.astext()}" for message in document.findall(nodes.system_message)]
     assert not bad, "\n".join(bad)
 

@@ -170,7 +170,7 @@ def notebooks_index(docs: Path) -> str:
 
 
 # ---- docstrings -----------------------------------------------------------------------------------------------------
-NAPOLEON = Config(napoleon_google_docstring=False)
+NAPOLEON = Config(napoleon_google_docstring=False, napoleon_use_ivar=True)
 LITERAL = re.compile(r"(``.+?``|:\w+:`[^`]+`)")
 BARE_ROLE = re.compile(r"(:(?:class|func|meth|attr):`)(?=[A-Za-z])(?!adaptiveface)")
 
