@@ -36,8 +36,9 @@ myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 3
 
 nb_execution_mode = "off"  # execute_notebooks.py runs them once
-# Notebooks without stored outputs name no output type; widgets have none outside Jupyter.
-suppress_warnings = ["mystnb.unknown_mime_type"]
+# Notebooks without stored outputs name no output type; widgets have none outside Jupyter. A short name in a signature may be
+# that of several objects.
+suppress_warnings = ["mystnb.unknown_mime_type", "ref.python"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

@@ -84,7 +84,7 @@ def test_numpys_sections_become_fields(generated):
         "float",
     ]
     generated.plain_to_rst(None, "function", "f", None, None, lines)
-    assert ":type a: float" in lines and ":param a: One ``a``: \\|a\\| < 1." in lines and ":rtype: float" in lines
+    assert ":type a: *float*" in lines and ":param a: One ``a``: \\|a\\| < 1." in lines and ":rtype: *float*" in lines
     constant = ["Where they go: up, down."]
     generated.plain_to_rst(None, "data", "f", None, None, constant)
     assert constant == ["Where they go: up, down."]

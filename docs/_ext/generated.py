@@ -188,7 +188,12 @@ def plain_to_rst(app, what, name, obj, options, lines: list[str]) -> None:
         body = lines[start + 2 : end]
         written = _plain(body) if lines[start].strip() in ("Notes", "References") else map(_section_line, body)
         out += [*lines[start : start + 2], *written]
-    lines[:] = NumpyDocstring(out, NAPOLEON, what="function").lines() if starts else out
+    lines[:] = map(_type_in_words, NumpyDocstring(out, NAPOLEON, what="function").lines()) if starts else out
+
+
+def _type_in_words(line: str) -> str:
+    """The type of a field in italics: as plain text Sphinx would look for an object of that name, such as "actor"."""
+    return re.sub(r"^(:(?:type|vartype) [^:]+:|:rtype:) ([^*`\\]+)$", r"\1 *\2*", line)
 
 
 def _section_line(line: str) -> str:
