@@ -5,6 +5,7 @@ No network: addresses of other sites are not asked for. A page's size is its HTM
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -44,7 +45,7 @@ class Page(HTMLParser):
         if parts.scheme or parts.netloc:
             return None
         path = self.path if not parts.path else self.path.parent / unquote(parts.path)
-        return path.resolve(), unquote(parts.fragment)
+        return Path(os.path.abspath(path)), unquote(parts.fragment)
 
     def size(self) -> int:
         """Bytes of the page and of its pictures."""
@@ -52,17 +53,23 @@ class Page(HTMLParser):
         return self.path.stat().st_size + sum(t[0].stat().st_size for t in shown if t and t[0].is_file())
 
 
-def faults(site: Path, largest: int = LARGEST) -> list[str]:
-    """One line per broken link, lost anchor and page that is too large."""
-    pages = {path.resolve(): Page(path) for path in sorted(site.rglob("*.html"))}
+def read(site: Path) -> dict[Path, Page]:
+    """Every page of a site by its path."""
+    return {Path(os.path.abspath(path)): Page(path) for path in sorted(site.rglob("*.html"))}
+
+
+def faults(site: Path, largest: int = LARGEST, pages: dict[Path, Page] | None = None) -> list[str]:
+    """One line per broken link, lost anchor and page that is too large; ``pages`` where they were read already."""
+    pages = read(site) if pages is None else pages
+    there: dict[Path, bool] = {}
     found = []
     for path, page in pages.items():
-        name = path.relative_to(site.resolve())
+        name = path.relative_to(os.path.abspath(site))
         for link in sorted(page.links):
             if (target := page.target(link)) is None:
                 continue
             file, anchor = target
-            if not file.exists():
+            if not there.setdefault(file, file.exists()):
                 found.append(f"{name}: {link}: no such file")
             elif anchor and file in pages and anchor not in pages[file].ids:
                 found.append(f"{name}: {link}: no such anchor")
@@ -74,11 +81,11 @@ def faults(site: Path, largest: int = LARGEST) -> list[str]:
 def main() -> int:
     """Print the faults and the largest pages; 1 where there are faults."""
     site = Path(sys.argv[1])
-    found = faults(site)
+    pages = read(site)
+    found = faults(site, LARGEST, pages)
     print(*found, sep="\n", end="\n" if found else "")
-    pages = sorted(((Page(path).size(), path.relative_to(site)) for path in site.rglob("*.html")), reverse=True)
     print(f"{len(pages)} pages, {len(found)} faults; the largest:")
-    for size, path in pages[:5]:
+    for size, path in sorted(((page.size(), page.path.relative_to(site)) for page in pages.values()), reverse=True)[:5]:
         print(f"  {size / 1e6:.2f} MB  {path}")
     return bool(found)
 

@@ -247,7 +247,15 @@ def _escaped(line: str, bullet: bool) -> str:
     return head + "".join(parts)
 
 
+def forget_modules_without_source(app, env) -> None:
+    """The index of sources lists every module that it was asked for, also those such as ``time`` that get no page."""
+    known = getattr(env, "_viewcode_modules", {})
+    for name in [name for name, entry in known.items() if not entry]:
+        del known[name]
+
+
 def setup(app) -> dict:
     """Register the docstring conversion."""
     app.connect("autodoc-process-docstring", plain_to_rst)
+    app.connect("env-updated", forget_modules_without_source)
     return {"parallel_read_safe": True}
