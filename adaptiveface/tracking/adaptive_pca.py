@@ -138,12 +138,16 @@ class AdaptiveModel:
         residual = residual - self.correctives @ (self.correctives.T @ residual)
         return anchor, float(np.linalg.norm(residual.reshape(-1, 3), axis=1).mean())
 
+    def energy(self, sample: np.ndarray) -> float:
+        """||s||^2 of a sample (3n,) in mm, in the units of valid_min and valid_max: cm^2 over a mesh of the paper's size."""
+        return float(sample @ sample) / self._unit
+
     # ---- learning --------------------------------------------------------------------------------------------------
     def classify(self, displacement: np.ndarray) -> tuple[SampleState, np.ndarray, np.ndarray]:
         """Validity of a sample v2 - b0 (3n,): (state, s = its residual to the anchor space, its anchor coefficients)."""
         in_anchors, anchor_part = self._on_anchors(displacement)
         residual = displacement - anchor_part
-        energy = float(residual @ residual) / self._unit
+        energy = self.energy(residual)
         if not np.isfinite(energy) or energy >= self.parameters.valid_max:
             return SampleState.OUTLIER, residual, in_anchors
         state = SampleState.LEARNED if energy > self.parameters.valid_min else SampleState.IN_ANCHOR_SPACE

@@ -26,7 +26,10 @@ _BAR = np.array([0x00, 0x72, 0xB2], np.uint8)  # the first of them
 
 
 class LiveChart:
-    """Lines over frame numbers (or any x) with fixed axes and a cursor. ``widget`` is what to display."""
+    """Lines over frame numbers (or any x) with fixed axes and a cursor. ``widget`` is what to display.
+
+    ``styles``: by name, what a line is drawn with instead (Matplotlib's ``Line2D`` properties).
+    """
 
     def __init__(
         self,
@@ -38,6 +41,7 @@ class LiveChart:
         title: str = "",
         size: tuple[int, int] = (420, 260),
         log: bool = False,
+        styles: dict[str, dict] | None = None,
     ) -> None:
         figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white", layout="constrained")
         self._canvas, self._axis = FigureCanvasAgg(figure), figure.add_subplot()
@@ -50,18 +54,23 @@ class LiveChart:
         axis.grid(alpha=0.3)
         self._lines = {}
         for name, colour in zip(names, COLOURS, strict=False):
-            (line,) = axis.plot([], [], color=colour, lw=1.6, label=name, animated=True)
+            style = {"color": colour, "lw": 1.6} | (styles or {}).get(name, {})
+            (line,) = axis.plot([], [], label=name, animated=True, **style)
             self._lines[name] = line
         self._cursor = axis.axvline(np.nan, color="0.4", lw=1, animated=True)
         if len(self._lines) > 1:  # below the axes, where it hides no line
-            handles = [Line2D([], [], color=line.get_color(), lw=1.6, label=name) for name, line in self._lines.items()]
+            handles = [_copy(line, name) for name, line in self._lines.items()]
             room = max(1, int(size[0] / (LEGEND_HANDLE + LEGEND_LETTER * max(map(len, self._lines)))))
             figure.legend(handles=handles, fontsize=8, loc="outside lower center", ncols=min(room, len(handles)))
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
-        self._image = image_widget(*size, format="png", name="adaptiveface-chart")
+        self._image = self._picture(size)
         self.widget = widgets.VBox([self._image])
         self.update()
+
+    def _picture(self, size: tuple[int, int]) -> widgets.DOMWidget:
+        """What holds the PNG, as its ``value``."""
+        return image_widget(*size, format="png", name="adaptiveface-chart")
 
     def update(self, cursor: float = np.nan, **series) -> None:
         """Lines by name: an array over 0, 1, 2, ... or a pair (x, y); NaN leaves a gap. ``cursor``: vertical line."""
@@ -73,6 +82,14 @@ class LiveChart:
         for artist in (self._cursor, *self._lines.values()):
             self._axis.draw_artist(artist)
         self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
+
+
+def _copy(line: Line2D, name: str) -> Line2D:
+    """A line of the same look, for the legend."""
+    copy = Line2D([], [], label=name)
+    copy.update_from(line)
+    copy.set_animated(False)
+    return copy
 
 
 class BarChart:

@@ -1,66 +1,156 @@
-"""For notebook 06: the corrective shapes as heads, and the angle between the incremental and the batch PCA."""
+"""For notebook 06: the corrective shapes as heads, the samples' energies, and the angle to the batch PCA."""
 
 from __future__ import annotations
 
 import asyncio
 
+import ipywidgets as widgets
 import numpy as np
 from scipy.linalg import subspace_angles
 
+from ..mesh import vertex_normals
+from ..parameters import AdaptivePcaParameters
 from ..tracking.adaptive_pca import AdaptiveModel
-from ..tracking.types import SampleState
-from .charts import LiveChart
+from ..tracking.types import SampleState, TrackedFrame
+from .charts import COLOURS, BarChart, LiveChart
 from .face_view import FaceView
-from .kernel import BackgroundTask, running_loop
+from .kernel import BackgroundTask, on_main_thread, running_loop
 from .replay import Replay
 from .session import Session
+from .thresholds import Thresholds
+from .workbench import ChartSource, Workbench
 
 
 class CorrectiveView:
-    """The first ``count`` corrective shapes, each added to the neutral so that it moves up to ``reach`` mm.
+    """The first ``count`` corrective shapes, each added to the neutral, and the singular values of all of them.
 
-    ``widget`` is what to display; :meth:`update` takes an :class:`AdaptiveModel`.
+    A shape is scaled so that its largest displacement is as many mm as the slider ``amount`` says; its colours say how far it
+    moves the skin outwards (positive) or inwards. ``widget`` is what to display; :meth:`update` is a workbench's ``extra``.
     """
 
-    def __init__(self, session: Session, count: int = 4, reach: float = 4.0) -> None:
-        self.actor, self.reach = session.actor, reach
+    def __init__(self, session: Session, count: int = 4, reach: float = 4.0, most: int = 12) -> None:
+        self.actor, self._most = session.actor, most
+        self._normals = vertex_normals(session.actor.neutral, session.actor.triangles)
         titles = [f"corrective {k + 1}" for k in range(count)]
-        self.view = FaceView.of(
-            session.actor, titles, limits=(0, reach), label=f"displacement (largest: {reach:g} mm), mm", pane=(200, 230)
+        label = "displacement along the normal, mm"
+        self.view = FaceView.of(session.actor, titles, limits=(-reach, reach), label=label, pane=(200, 230))
+        self.amount = widgets.FloatSlider(
+            reach, min=-2 * reach, max=2 * reach, step=0.25, description="amount, mm", layout=widgets.Layout(width="420px")
         )
-        self.widget, self._last, self._wanted = self.view.widget, None, None
+        self.amount.add_class("adaptiveface-amount")
+        self.values = BarChart(
+            [str(k + 1) for k in range(most)], (0, 0.6), "mm (rms of a vertex)", "singular values", size=(260, 260)
+        )
+        row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
+        self.widget = widgets.HBox([widgets.VBox([self.view.widget, self.amount]), self.values.widget], layout=row)
+        self._last: np.ndarray | None = None
+        self._wanted: tuple[Replay, int] | None = None
         self._task = BackgroundTask()
+        self.amount.observe(on_main_thread(lambda _: self._wanted and self._draw(*self._wanted)), "value")
 
-    def update(self, model: AdaptiveModel) -> None:
-        """Show a model's correctives, soon and at most 2.5 times a second: playback must not wait for these pictures."""
-        self._wanted = model
+    def update(self, replay: Replay, index: int) -> None:
+        """The correctives after frame ``index``, soon and at most 2.5 times a second: playback must not wait for them."""
+        self._wanted = replay, index
         if running_loop() is None:
-            self._draw(model)
-        elif model.correctives is not self._last and not self._task.running:
+            self._draw(replay, index)
+        elif replay.model_after(index).correctives is not self._last and not self._task.running:
             self._task.start(self._follow())
 
     async def _follow(self) -> None:
-        while self._wanted.correctives is not self._last:
-            self._draw(self._wanted)
+        while self._wanted is not None and self._wanted[0].model_after(self._wanted[1]).correctives is not self._last:
+            self._draw(*self._wanted)
             await asyncio.sleep(0.4)
 
-    def _draw(self, model: AdaptiveModel) -> None:
+    def _draw(self, replay: Replay, index: int) -> None:
+        model, frontal = replay.model_after(index), self.actor.frontal
         self._last = model.correctives
         for k in range(len(self.view.titles)):
             heat = np.full(len(self.actor.neutral), np.nan)
             vertices = self.actor.neutral.copy()
             if k < model.correctives.shape[1]:
                 shape = model.correctives[:, k].reshape(-1, 3)
-                shape = shape * (self.reach / np.linalg.norm(shape, axis=1).max())
-                vertices[self.actor.frontal] += shape
-                heat[self.actor.frontal] = np.linalg.norm(shape, axis=1)
+                shape = shape * (self.amount.value / np.linalg.norm(shape, axis=1).max())
+                vertices[frontal] += shape
+                heat[frontal] = (shape * self._normals[frontal]).sum(axis=1)
             self.view.show(k, vertices, heat)
         self.view.refresh()
+        values = singular_values(model, learned_samples(replay, index))[: self._most]
+        self.values.update(np.pad(values, (0, self._most - len(values))))
 
     def close(self) -> None:
         """Stop following and free the renderer; the last picture stays."""
         self._task.stop()
         self.view.close()
+
+
+#: What becomes of a frame as a sample, and how the energy chart marks it.
+MARKS = {
+    SampleState.LEARNED: ("learned", {"marker": "o", "ms": 3, "ls": "", "color": COLOURS[2]}),
+    SampleState.IN_ANCHOR_SPACE: ("too near", {"marker": "v", "ms": 4, "ls": "", "color": COLOURS[0]}),
+    SampleState.OUTLIER: ("outlier", {"marker": "x", "ms": 6, "mew": 2, "ls": "", "color": COLOURS[1]}),
+    SampleState.HIDDEN: ("hidden", {"marker": "s", "ms": 3, "ls": "", "color": "0.6"}),
+}
+
+
+class EnergyChart(LiveChart):
+    """||s||^2 of every frame on a logarithmic axis, what became of it, and valid_min and valid_max as lines to drag."""
+
+    def __init__(self, frames: int, y: tuple[float, float] = (0.1, 300.0)) -> None:
+        marks, self._decades, self._steered = dict(MARKS.values()), np.log10(y), False
+        ylabel = r"$\|s\|^2$, cm$^2$"
+        super().__init__(tuple(marks), (0, frames - 1), y, "frame", ylabel, "energy of the sample", log=True, styles=marks)
+
+    def _picture(self, size: tuple[int, int]) -> Thresholds:
+        box = self._axis.get_position()
+        return Thresholds(
+            size=list(size),
+            axes=[box.x0, 1 - box.y1, box.x1, 1 - box.y0],
+            decades=[float(d) for d in self._decades],
+            names={"low": "valid_min", "high": "valid_max"},
+            description="energy of every frame's sample, with the thresholds valid_min and valid_max",
+        )
+
+    def show(self, parameters: AdaptivePcaParameters) -> None:
+        """Put the lines where the parameters are."""
+        self._steered = True
+        try:
+            with self._image.hold_sync():
+                self._image.low, self._image.high = parameters.valid_min, parameters.valid_max
+        finally:
+            self._steered = False
+
+    def steer(self, bench: Workbench) -> None:
+        """Let the lines move the sliders of a workbench."""
+
+        def moved(change) -> None:
+            if not self._steered:
+                name = {"low": "valid_min", "high": "valid_max"}[change["name"]]
+                bench.set(**{f"adaptive_pca__{name}": change["new"]})
+
+        self._image.observe(on_main_thread(moved), ["low", "high"])
+
+
+def energy_chart(session: Session) -> tuple[EnergyChart, ChartSource]:
+    """The chart of ||s||^2 and its source, for a workbench; :meth:`EnergyChart.steer` makes its lines act."""
+    chart, frontal = EnergyChart(len(session.frames)), session.actor.frontal
+    known: dict[int, tuple[TrackedFrame, float]] = {}
+
+    def energy(replay: Replay, index: int, result: TrackedFrame) -> float:
+        if index not in known or known[index][0] is not result:
+            model = replay.tracker.model
+            known[index] = (result, model.energy(model.classify((result.v2 - result.v1)[frontal].ravel())[1]))
+        return known[index][1]
+
+    def source(replay: Replay) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        chart.show(replay.parameters.adaptive_pca)
+        tracked = [(k, r) for k, r in enumerate(replay.results) if r is not None and r.tracked]
+        lines = {}
+        for state, (name, _) in MARKS.items():
+            found = [(k, energy(replay, k, r)) for k, r in tracked if r.sample_state == state]
+            lines[name] = (np.array([k for k, _ in found]), np.array([e for _, e in found]))
+        return lines
+
+    return chart, source
 
 
 def learned_samples(replay: Replay, last: int) -> np.ndarray:
@@ -71,6 +161,14 @@ def learned_samples(replay: Replay, last: int) -> np.ndarray:
         -1, len(anchors)
     )
     return samples - (samples @ anchors) @ anchors.T
+
+
+def singular_values(model: AdaptiveModel, samples: np.ndarray) -> np.ndarray:
+    """(k,) singular values of ``samples`` (s, 3n) within the k correctives, as the rms displacement of a vertex in mm."""
+    if len(samples) == 0 or model.correctives.shape[1] == 0:
+        return np.zeros(0)
+    values = np.linalg.svd(samples @ model.correctives, compute_uv=False)
+    return values / np.sqrt(samples.size / 3)
 
 
 def angle_to_batch(model: AdaptiveModel, samples: np.ndarray) -> float:

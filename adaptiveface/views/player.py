@@ -26,7 +26,7 @@ class Player:
         self.slider.add_class("adaptiveface-frame")
         self.loop = widgets.Checkbox(True, description="loop", indent=False, layout=widgets.Layout(width="60px"))
         self.speed = widgets.Dropdown(
-            options=[("0.25 x", 0.25), ("0.5 x", 0.5), ("1 x", 1.0), ("2 x", 2.0)],
+            options=[("0.1 x", 0.1), ("0.25 x", 0.25), ("0.5 x", 0.5), ("1 x", 1.0), ("2 x", 2.0)],
             value=1.0,
             layout=widgets.Layout(width="80px"),
         )

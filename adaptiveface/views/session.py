@@ -37,6 +37,8 @@ T = TypeVar("T")
 
 #: Environment variable: fewer frames, for test runs.
 FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
+#: The source of that name: a performance made to watch the correctives by, and how long it is.
+LESSON, LESSON_FRAMES = "lesson", 300
 #: Changes when the synthetic sensor or this file's layout does, so that an old cache is not used.
 CACHE_VERSION = 2
 _log = logging.getLogger(__name__)
@@ -106,14 +108,14 @@ def load_session(
 ) -> Session:
     """The performance that the notebooks work on.
 
-    ``source``: "synthetic", "synthetic:SEED[:NOISE]" or a recording folder. ``neutral_frames`` with the face at rest
-    come first and make the rig (of a recording, calmer ones where the first are not calm; a range names them); then
-    ``frames`` of performance (default 100, or 24 where :func:`fast`), from frame ``first`` of the recording on. ``cache``:
-    folder for synthetic performances (default: the user's cache folder).
+    ``source``: "synthetic", "synthetic:SEED[:NOISE]", "lesson" (:mod:`..synthetic.lesson`) or a recording folder.
+    ``neutral_frames`` with the face at rest come first and make the rig (of a recording, calmer ones where the first are not
+    calm; a range names them); then ``frames`` of performance (default 100, of the lesson 300; 24 where :func:`fast`), from
+    frame ``first`` of the recording on. ``cache``: folder for synthetic performances (default: the user's cache folder).
     Raises :class:`AdaptiveFaceError` (or one of its kinds) for a source that cannot be used.
     """
-    count = frames or (24 if fast() else 100)
-    if source == "synthetic" or source.startswith("synthetic:"):
+    count = frames or (24 if fast() else LESSON_FRAMES if source == LESSON else 100)
+    if source in ("synthetic", LESSON) or source.startswith("synthetic:"):
         return _synthetic(source, neutral_frames, count, Path(cache) if cache else cache_folder())
     return _recorded(source, neutral_frames, count, first)
 
@@ -197,14 +199,7 @@ def _not_cached() -> Iterator[None]:
 def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarray]:
     from tqdm.auto import tqdm
 
-    from ..synthetic.sensor import SyntheticSensor
-
-    seed, _, noise = source.partition(":")[2].partition(":")
-    half = max(count // 2, 1)
-    # A window of a script three times as long: expressions at a natural speed, where the most happens.
-    sensor = SyntheticSensor(int(seed or 7), noise or "structured-light", neutral_frames, 3 * half, 2)
-    first = neutral_frames + liveliest_window(sensor.script, half)
-    chosen = [*range(neutral_frames), *range(first, first + half), *range(first + 3 * half, first + 4 * half)]
+    sensor, chosen = _performance(source, neutral_frames, count)
     rows: dict[str, list] = {name: [] for name in ("depth", "colour", "pixels", "confidence", "v", "rigid", "performance")}
     unit = 0.1
     with one_blas_thread():
@@ -236,6 +231,22 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
         performance=np.array(rows["performance"], np.int64),
         truth_neutral=neutral,
     )
+
+
+def _performance(source: str, neutral_frames: int, count: int):
+    """The sensor of a synthetic source, and the numbers of the frames to take from it."""
+    from ..synthetic.lesson import LessonSensor
+    from ..synthetic.sensor import SyntheticSensor
+
+    if source == LESSON:
+        sensor = LessonSensor(neutral_frames=neutral_frames)
+        return sensor, range(min(neutral_frames + count, len(sensor)))
+    seed, _, noise = source.partition(":")[2].partition(":")
+    half = max(count // 2, 1)
+    # A window of a script three times as long: expressions at a natural speed, where the most happens.
+    sensor = SyntheticSensor(int(seed or 7), noise or "structured-light", neutral_frames, 3 * half, 2)
+    first = neutral_frames + liveliest_window(sensor.script, half)
+    return sensor, [*range(neutral_frames), *range(first, first + half), *range(first + 3 * half, first + 4 * half)]
 
 
 def liveliest_window(script: np.ndarray, length: int) -> int:

@@ -227,6 +227,11 @@ def drag_face(page, face, by: tuple[float, float], steps: int = 12) -> None:
     _drag_element(page, face, 0.25, by, steps)
 
 
+def drag_line(page, line, down: float) -> None:
+    """Drag a horizontal line, ``down`` pixels."""
+    _drag_element(page, line, 0.5, (0.0, down), 8)
+
+
 def _drag_element(page, element, from_left: float, by: tuple[float, float], steps: int) -> None:
     """From a point at this share of the width, at half the height."""
     element.scroll_into_view_if_needed()

@@ -22,7 +22,8 @@ LAPLACIAN, PCA = "05_laplacian_deformation.ipynb", "06_incremental_pca.ipynb"
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
-    with lab.jupyter_lab(tmp_path_factory.mktemp("lab"), (LAPLACIAN, PCA)) as address:
+    quick = {"ADAPTIVEFACE_NOTEBOOK_FAST": "1"}
+    with lab.jupyter_lab(tmp_path_factory.mktemp("lab"), (LAPLACIAN, PCA), **quick) as address:
         yield address
 
 
@@ -176,6 +177,21 @@ def check_playback(page, button: str) -> None:
     lab.wait_for_rest(page)
 
 
+def check_threshold(page) -> None:
+    """A line of the energy chart is dragged, and moved with a key: the parameter follows, and the slider with it."""
+
+    def valid_max() -> float:
+        return float(lab.run_code(page, "print(bench.parameters.adaptive_pca.valid_max)"))
+
+    line = page.locator(".adaptiveface-threshold-high").first
+    lab.drag_line(page, line, 40)
+    assert lab.wait_until(page, lambda: valid_max() < 60), "dragging the line changes nothing"
+    dragged = valid_max()
+    assert float(lab.run_code(page, "print(bench.panel['adaptive_pca.valid_max'].value)")) == pytest.approx(dragged)
+    line.press("ArrowUp")
+    assert lab.wait_until(page, lambda: valid_max() == pytest.approx(dragged * 10**0.05, rel=1e-3)), "the key does nothing"
+
+
 @pytest.mark.slow
 def test_laplacian_sliders_and_playback(page, address):
     face, chart = workbench(page, address, LAPLACIAN)
@@ -193,6 +209,7 @@ def test_laplacian_sliders_and_playback(page, address):
 @pytest.mark.slow
 def test_pca_sliders_and_live_learning(page, address):
     face, chart = workbench(page, address, PCA)
+    check_threshold(page)
     check_drag(page, face, chart, "adaptive_pca.K", -120)
     check_playback(page, ".adaptiveface-live")
     assert page.problems == []

@@ -1,0 +1,130 @@
+"""The performance of notebook 06, shortened: what the text says of K, S, the startup and the two thresholds holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptiveface import views
+from adaptiveface.synthetic import lesson
+from adaptiveface.tracking.types import SampleState
+from adaptiveface.views import pca_study
+from adaptiveface.views.session import Session
+
+#: Frames of the lesson: the laugh, the rage, the faulty ones with some before them.
+LAUGH, RAGE, FAULT = range(4, 42, 2), range(50, 86, 2), range(230, 241)
+HOLD_OF_LAUGH, HOLD_OF_RAGE = slice(8, 14), slice(len(LAUGH) + 7, len(LAUGH) + 13)
+FAULTY = slice(-3, None)
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    sensor = lesson.LessonSensor()
+    start = sensor.neutral_frames
+    frames = [sensor.read(start + k) for k in (*LAUGH, *RAGE, *FAULT)]
+    return Session("lesson", sensor.camera, [sensor.read(k) for k in range(start)], frames)
+
+
+def replay_with(session: Session, **changes) -> views.Replay:
+    """All frames tracked under other parameters of the adaptive PCA."""
+    parameters = views.Parameters().set(**{f"adaptive_pca__{name}": value for name, value in changes.items()})
+    replay = views.Replay(session.frames, session.actor, parameters)
+    replay.run()
+    return replay
+
+
+@pytest.fixture(scope="module")
+def default(session) -> views.Replay:
+    return replay_with(session)
+
+
+def left_over(replay: views.Replay, frames: slice) -> float:
+    """What the adaptive space leaves over, as a share of what the anchor space leaves over."""
+    return replay.series("adaptive_distance")[frames].mean() / replay.series("anchor_distance")[frames].mean()
+
+
+def test_new_expressions_drop_out_within_a_few_frames(default):
+    assert left_over(default, HOLD_OF_LAUGH) < 0.3 and left_over(default, HOLD_OF_RAGE) < 0.4
+
+
+def test_k(session, default):
+    assert left_over(replay_with(session, K=0), HOLD_OF_LAUGH) == 1
+    one = replay_with(session, K=1)
+    assert left_over(one, HOLD_OF_LAUGH) < 0.4, "one shape explains the laugh"
+    assert left_over(one, HOLD_OF_RAGE) > 0.75, "but not the rage"
+    assert left_over(replay_with(session, K=5), HOLD_OF_RAGE) < 0.5
+
+
+def test_s(session):
+    """A short memory follows the present expression, far from the batch PCA of what it saw before."""
+    last = len(LAUGH) + len(RAGE) - 1
+    wide, short = replay_with(session, K=3), replay_with(session, K=3, S=6)
+    samples = pca_study.learned_samples(wide, last)
+    angles = [pca_study.angle_to_batch(one.model_after(last), samples) for one in (wide, short)]
+    assert angles[0] < 5 < 10 < angles[1]
+
+
+def test_full_buffer_learns_late(session):
+    late = replay_with(session, startup="full-buffer", S=30)
+    first = next(k for k, r in enumerate(late.results) if r.corrective_updates)
+    learned = [r.sample_state == SampleState.LEARNED for r in late.results]
+    assert sum(learned[: first + 1]) == 30
+    assert left_over(late, HOLD_OF_RAGE) > 1.3 * left_over(replay_with(session), HOLD_OF_RAGE)
+
+
+def test_valid_min(session, default):
+    """Above the rage's energy and below the laugh's, only the laugh is learned."""
+    one = replay_with(session, valid_min=17.0)
+    assert {r.sample_state for r in one.results[HOLD_OF_RAGE]} == {SampleState.IN_ANCHOR_SPACE}
+    assert SampleState.LEARNED in {r.sample_state for r in one.results[HOLD_OF_LAUGH]}
+    assert left_over(one, HOLD_OF_RAGE) > 0.75 and left_over(one, HOLD_OF_LAUGH) < 0.5
+
+
+def test_valid_max(session, default):
+    """Below the fault's energy it is an outlier; above, it is learned as if it were an expression."""
+    strict = replay_with(session, valid_max=40.0)
+    assert {r.sample_state for r in strict.results[FAULTY]} == {SampleState.OUTLIER}
+    assert SampleState.LEARNED in {r.sample_state for r in default.results[FAULTY]}
+    assert left_over(default, FAULTY) < 0.8 * left_over(strict, FAULTY)
+    assert SampleState.OUTLIER not in {r.sample_state for r in strict.results[:-3]}, "no expression is lost"
+
+
+def test_the_hand_is_not_learned_from():
+    sensor = lesson.LessonSensor()
+    clean, covered = (sensor.read(sensor.neutral_frames + k).depth for k in (lesson.HAND.start - 1, lesson.HAND.start))
+    assert (covered > 0).mean() > 0.05 and covered[covered > 0].min() < clean[clean > 0].min() - 30
+
+
+def test_singular_values_grow_with_the_expressions(default):
+    after_laugh, after_rage = len(LAUGH) - 1, len(LAUGH) + len(RAGE) - 1
+    seen = [
+        pca_study.singular_values(default.model_after(k), pca_study.learned_samples(default, k))
+        for k in (after_laugh, after_rage)
+    ]
+    assert seen[0][0] > 4 * seen[0][1] and seen[1][1] > 2 * seen[0][1]
+    assert len(pca_study.singular_values(default.model_after(0), np.zeros((0, 3)))) == 0
+
+
+def test_energy_chart(session, default):
+    """Each tracked frame is marked once, with the energy that was compared with the thresholds; the lines steer sliders."""
+    chart, source = pca_study.energy_chart(session)
+    lines = source(default)
+    state = {name: state for state, (name, _) in pca_study.MARKS.items()}
+    for name, (frames, energies) in lines.items():
+        assert all(default.results[k].sample_state == state[name] for k in frames)
+        if name == "learned":
+            assert energies.min() > 1 and energies.max() < 100
+    assert sum(len(frames) for frames, _ in lines.values()) == sum(r.tracked for r in default.results)
+    chart.update(3, **lines)
+
+    class Bench:
+        said: list[dict] = []
+
+        def set(self, **values):
+            self.said.append(values)
+
+    chart.steer(Bench())
+    chart.show(views.Parameters().set(adaptive_pca__valid_max=60.0).adaptive_pca)
+    assert Bench.said == [] and chart._image.high == 60.0, "following a slider moves no slider"
+    chart._image.high = 40.0
+    assert Bench.said == [{"adaptive_pca__valid_max": 40.0}]
