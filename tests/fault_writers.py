@@ -47,7 +47,7 @@ from adaptiveface.sensors import Recording, RecordingWriter
 
 SIGNALS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "KILL": signal.SIGKILL}
 #: Longest that a writer may take, s.
-LIMIT = 60.0
+LIMIT = 300.0
 
 
 @dataclass(frozen=True)

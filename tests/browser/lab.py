@@ -84,7 +84,7 @@ def jupyter_lab(folder: Path, notebooks=(), **environment):
             server.wait(60)
 
 
-def _wait_for(address: str, log: Path, seconds: float = 60.0) -> None:
+def _wait_for(address: str, log: Path, seconds: float = 240.0) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         try:
@@ -121,8 +121,8 @@ def chromium_page(width: int = 1500, height: int = 1300):
 def open_notebook(page, address: str, name: str) -> None:
     """Open a notebook and wait until its kernel is idle (running cells earlier races with its start)."""
     page.goto(f"{address}/lab/tree/{name}?reset")
-    page.wait_for_selector(".jp-NotebookPanel .jp-CodeCell", timeout=90_000)
-    page.wait_for_function(_IDLE, timeout=90_000)
+    page.wait_for_selector(".jp-NotebookPanel .jp-CodeCell", timeout=240_000)
+    page.wait_for_function(_IDLE, timeout=240_000)
     page.evaluate(_WATCH)
     # All cells in the page at once: JupyterLab otherwise takes those out that are not in sight.
     page.evaluate(
@@ -131,7 +131,7 @@ def open_notebook(page, address: str, name: str) -> None:
     )
 
 
-def run_cells(page, last: int, timeout: float = 180.0) -> None:
+def run_cells(page, last: int, timeout: float = 400.0) -> None:
     """Run the cells 0 .. ``last``, one after the other, and wait for the end; raises on a cell's error."""
     page.evaluate(
         """async last => { const p = window.jupyterapp.shell.currentWidget, c = window.jupyterapp.commands;
@@ -272,7 +272,7 @@ def wait_until(page, true: Callable[[], bool], seconds: float = 30.0) -> bool:
     return True
 
 
-def wait_for_rest(page, seconds: float = 60.0) -> None:
+def wait_for_rest(page, seconds: float = 240.0) -> None:
     """Wait until no face has changed for two seconds: what was on its way is drawn, and a playback that goes on never rests."""
     page.wait_for_function(
         """() => { const drawn = window.loads.face.length, now = performance.now();

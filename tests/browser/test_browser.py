@@ -38,8 +38,8 @@ def workbench(page, address: str, name: str):
     lab.open_notebook(page, address, name)
     lab.run_cells(page, lab.cell_with(name, "views.Workbench("))
     face, chart = page.locator("canvas.adaptiveface-face").first, page.locator("img.adaptiveface-chart").first
-    face.wait_for(state="visible", timeout=60_000)
-    chart.wait_for(state="visible", timeout=30_000)
+    face.wait_for(state="visible", timeout=180_000)
+    chart.wait_for(state="visible", timeout=240_000)
     page.wait_for_timeout(1500)
     shown = lab.pixels(face)
     assert shown.std() > 15 and shown.mean() > 60, "the face is blank or black"
@@ -91,13 +91,13 @@ def check_hover(page, face) -> None:
     """Under the pointer stands the value of a vertex of the kernel's; beside the face there is none."""
     bubble, box = page.locator(".adaptiveface-value").first, face.bounding_box()
     page.mouse.move(box["x"] + 0.28 * box["width"], box["y"] + 0.55 * box["height"])
-    bubble.wait_for(state="visible", timeout=30_000)
+    bubble.wait_for(state="visible", timeout=120_000)
     value, _, vertex = bubble.inner_text().partition(" mm · vertex ")
     frame = "session.frames[bench.player.index]"
     told = lab.run_code(page, f"print(measures.error(bench.result, {frame}, 'v1')[{int(vertex)}])")
     assert float(value) == pytest.approx(float(told), abs=0.006)
     page.mouse.move(box["x"] + 3, box["y"] + 30)
-    bubble.wait_for(state="hidden", timeout=30_000)
+    bubble.wait_for(state="hidden", timeout=120_000)
 
 
 def check_exaggeration(page, face) -> None:
@@ -131,7 +131,7 @@ def check_messages(page, face) -> None:
     ahead = lab.pixels(face)
     lab.drag_face(page, face, (60, 20))
     page.mouse.wheel(0, -200)
-    page.wait_for_function("() => window.loads.turned.length >= 5", timeout=30_000)
+    page.wait_for_function("() => window.loads.turned.length >= 5", timeout=120_000)
     turned = lab.wait_for_change(page, face, ahead, least=0.03)
     kernel = "window.jupyterapp.shell.currentWidget.sessionContext.session.kernel"
     assert page.evaluate(f"() => {kernel}.status") == "busy", "the kernel was to be busy all the time"
@@ -140,7 +140,7 @@ def check_messages(page, face) -> None:
     face.dblclick()
     page.mouse.move(5, 5)
     page.evaluate(f"() => {kernel}.interrupt()")
-    page.wait_for_function(f"() => {kernel}.status === 'idle'", timeout=30_000)
+    page.wait_for_function(f"() => {kernel}.status === 'idle'", timeout=120_000)
 
 
 def check_touch(page, face) -> None:
@@ -172,7 +172,7 @@ def check_playback(page, button: str) -> None:
     """A click on a button starts a playback that draws pictures; another one on "play" stops it."""
     page.evaluate("() => { window.loads.face = []; }")
     page.locator(button).first.click()
-    page.wait_for_function("() => window.loads.face.length > 20", timeout=60_000)  # how fast: measure.py
+    page.wait_for_function("() => window.loads.face.length > 20", timeout=240_000)  # how fast: measure.py
     page.locator(".adaptiveface-play").first.click()
     lab.wait_for_rest(page)
 

@@ -102,8 +102,8 @@ def test_what_is_shown_and_not_touched_stays_as_it_is(page, address, name):
     lab.run_code(page, WATCH)
     lab.run_cells(page, last_maker(name))
     if name.startswith("live"):
-        lab.wait_for_text(page, ".adaptiveface-live-status", "tracking", 90)
-    page.locator(".widget-hslider").first.wait_for(state="attached", timeout=60_000)
+        lab.wait_for_text(page, ".adaptiveface-live-status", "tracking", 240)
+    page.locator(".widget-hslider").first.wait_for(state="attached", timeout=240_000)
     tabs = open_tabs(page)
     page.wait_for_timeout(500)
     seen = json.loads(lab.run_code(page, COMPARE))
@@ -123,7 +123,7 @@ def everything(page, address):
     """The notebook of one panel, opened and shown."""
     lab.open_notebook(page, address, "everything.ipynb")
     lab.run_cells(page, 0)
-    page.locator(".adaptiveface-tabs").wait_for(timeout=30_000)
+    page.locator(".adaptiveface-tabs").wait_for(timeout=120_000)
     yield page
     lab.shut_down(page)
 
