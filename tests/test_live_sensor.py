@@ -188,7 +188,7 @@ def test_closing_twice_wakes_the_reader_and_stops_the_thread():
     sensor.close()
     reader.join(60)
     assert isinstance(raised[0], SensorError) and "closed" in str(raised[0])
-    assert log == ["open", "close"] and not sensor._thread.is_alive()
+    assert log == ["open", "close"] and not sensor._worker.alive
 
 
 def test_closing_does_not_wait_for_a_library_that_hangs():
@@ -200,10 +200,10 @@ def test_closing_does_not_wait_for_a_library_that_hangs():
 
     sensor = LiveSensor(lambda: Hanging([]))
     sensor.close()
-    assert not release.is_set() and sensor._thread.is_alive()  # close returned although the library still hangs
+    assert not release.is_set() and sensor._worker.alive  # close returned although the library still hangs
     release.set()
-    sensor._thread.join(60)
-    assert not sensor._thread.is_alive()
+    sensor._worker.join(60)
+    assert not sensor._worker.alive
 
 
 @pytest.fixture(scope="module")

@@ -244,8 +244,8 @@ def test_closing_is_quick_and_may_be_repeated(tmp_path):
         assert sensor.read(5).sequence == 1
         sensor.close()
         sensor.close()
-        sensor._thread.join(60)
-        assert not sensor._thread.is_alive()
+        sensor._worker.join(60)
+        assert not sensor._worker.alive
 
 
 def test_no_camera_connected():

@@ -116,7 +116,7 @@ def test_closing_and_opening_again():
         with camera.sensor() as sensor:
             camera.push(number, flat(500), BLACK)
             assert sensor.read(10).sequence == number
-        sensor._thread.join(60)
+        sensor._worker.join(60)
     assert threading.active_count() == threads
 
 

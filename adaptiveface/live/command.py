@@ -21,6 +21,7 @@ from ..rows import discard, unfinished_folder
 from ..sensors.catalogue import list_sensors, open_sensor
 from ..sensors.live import LiveSensor
 from ..sensors.orientation import MIRRORED, split_mirrored
+from ..sensors.worker import POLL_SECONDS
 from .guided import STEPS
 from .recorder import LiveRecorder
 from .run import BUILDING, SCANNING, STARTING, LiveRun
@@ -32,8 +33,6 @@ NOTEBOOK = "live_sensor.ipynb"
 SENSOR_VARIABLE, ACTOR_VARIABLE = "ADAPTIVEFACE_SENSOR", "ADAPTIVEFACE_ACTOR"
 #: Results kept before their storage grows.
 FIRST_RESULTS = 900
-#: Longest wait before Ctrl-C is looked at, s.
-POLL_SECONDS = 0.2
 DEGRADED = "no depth: a degraded mode; sizes and distances are guesses, and nothing is learned"
 
 

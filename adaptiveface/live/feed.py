@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 
@@ -12,14 +11,12 @@ from ..errors import (
     AdaptiveFaceError,
     FeatureDetectionError,
     SensorDisconnectedError,
-    SensorError,
     SensorTimeoutError,
 )
 from ..landmarks import FeatureDetector, Upright
 from ..sensors.live import LiveFrame, LiveSensor
+from ..sensors.worker import POLL_SECONDS, Latest, Worker, packaged
 
-#: Longest wait for the sensor, s: closing has to stay responsive.
-POLL_SECONDS = 0.1
 #: Longest :meth:`FeatureFeed.close` waits, s. Loading the detector takes longer and then ends in the background.
 CLOSE_SECONDS = 0.9
 
@@ -41,14 +38,10 @@ class FeatureFeed:
         self._detector, self._always = detector, always or detector is not None
         self._own_detector: FeatureDetector | None = None
         self._upright: Upright | None = None
-        self._changed = threading.Condition()
-        self._frame: LiveFrame | None = None
-        self._trouble: SensorError | None = None  # what the sensor reports since its last frame
-        self._said = self._closed = False
-        self._error: AdaptiveFaceError | None = None  # ends the feed
+        self._frames: Latest[LiveFrame] = Latest(sensor.name, "feed", waits=not sensor.live)
         self._detect_ms: deque[float] = deque(maxlen=30)
-        self._thread = threading.Thread(target=self._run, name=f"features {sensor.name}", daemon=True)
-        self._thread.start()
+        self._worker = Worker(f"features {sensor.name}", self._run, self._end, self._wrap, self._release)
+        self._worker.start()
 
     @property
     def detect_ms(self) -> float:
@@ -61,33 +54,12 @@ class FeatureFeed:
         Raises :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
         :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor or the detector failed with.
         """
-        deadline = time.perf_counter() + timeout
-        with self._changed:
-            while True:
-                if self._closed:
-                    raise SensorError(f"{self.sensor.name}: the feed is closed")
-                frame = self._take()
-                if frame is not None:
-                    return frame
-                if self._error is not None:
-                    raise self._error
-                gone = isinstance(self._trouble, SensorDisconnectedError)
-                if gone and not self._said:
-                    self._said = True
-                    raise self._trouble
-                left = deadline - time.perf_counter()
-                if left <= 0:
-                    text = f"{self.sensor.name}: no new frame within {timeout:g} s"
-                    raise self._trouble if gone else SensorTimeoutError(text)
-                self._changed.wait(left)
+        return self._frames.read(timeout, self._fresh)
 
     def close(self) -> None:
         """Stop the thread, within a second; calling it again does nothing. The sensor is left open."""
-        with self._changed:
-            self._closed, self._frame = True, None
-            self._changed.notify_all()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(CLOSE_SECONDS)
+        self._frames.close()
+        self._worker.join(CLOSE_SECONDS)
 
     def __enter__(self) -> FeatureFeed:
         return self
@@ -95,32 +67,24 @@ class FeatureFeed:
     def __exit__(self, *_) -> None:
         self.close()
 
-    def _take(self) -> LiveFrame | None:
-        frame, self._frame = self._frame, None
-        if frame is None:
-            return None
-        self._changed.notify_all()  # a recording goes on
-        if self.sensor.live and frame.age > self.sensor.max_age:
-            self.dropped += 1
-            return None
-        return frame
+    def _fresh(self, frame: LiveFrame) -> bool:
+        """Whether a frame may be handed out; counts it as dropped where it is too old."""
+        late = self.sensor.live and frame.age > self.sensor.max_age
+        self.dropped += late
+        return not late
 
     # ---- the feature thread ----------------------------------------------------------------------------------------
     def _run(self) -> None:
-        try:
-            while not self._closed:
-                self._step()
-        except AdaptiveFaceError as error:
-            self._end(error)
-        except Exception as error:  # whatever the detector's library raises ends here
-            reason = str(error) or type(error).__name__
-            failure = FeatureDetectionError(f"{self.sensor.name}: the feature detector failed ({reason})")
-            failure.__cause__ = error
-            self._end(failure)
-        finally:
-            self.running = False
-            if self._own_detector is not None:
-                self._own_detector.close()
+        while not self._frames.closed:
+            self._step()
+
+    def _wrap(self, error: Exception) -> AdaptiveFaceError:
+        return packaged(error, f"{self.sensor.name}: the feature detector failed", FeatureDetectionError)
+
+    def _release(self) -> None:
+        self.running = False
+        if self._own_detector is not None:
+            self._own_detector.close()
 
     def _step(self) -> None:
         try:
@@ -130,9 +94,14 @@ class FeatureFeed:
         except SensorDisconnectedError as error:
             if not self.sensor.reconnect:
                 raise
-            self._lost(error)
+            with self._frames.changed:
+                self.dropped += self._frames.drop()
+                self._frames.interrupt(error)
             return
-        self._publish(self._with_features(frame))
+        found = self._with_features(frame)
+        with self._frames.changed:
+            replaced = self._frames.put(found)
+            self.dropped += replaced
 
     def _with_features(self, frame: LiveFrame) -> LiveFrame:
         """``frame`` with features; turned upright where the detector finds the face turned in the picture."""
@@ -151,25 +120,7 @@ class FeatureFeed:
         self._own_detector = FeatureDetector(video=True)
         return self._own_detector
 
-    def _publish(self, frame: LiveFrame) -> None:
-        with self._changed:
-            if not self.sensor.live:
-                self._changed.wait_for(lambda: self._frame is None or self._closed)
-            self.dropped += self._frame is not None
-            self._frame = None if self._closed else frame
-            self._trouble, self._said = None, False
-            self._changed.notify_all()
-
-    def _lost(self, error: SensorDisconnectedError) -> None:
-        with self._changed:
-            if self.sensor.live and self._frame is not None:
-                self._frame = None  # from before the unplugging: not what the sensor sees now
-                self.dropped += 1
-            self._trouble = error
-            self._changed.notify_all()
-
     def _end(self, error: AdaptiveFaceError) -> None:
-        with self._changed:
-            self._changed.wait_for(lambda: self.sensor.live or self._frame is None or self._closed)
-            self._error, self.running = error, False
-            self._changed.notify_all()
+        with self._frames.changed:
+            self._frames.end(error)
+            self.running = False

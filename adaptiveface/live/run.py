@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from os import PathLike
 
 from ..actor import Actor
@@ -11,6 +12,7 @@ from ..errors import AdaptiveFaceError, TrackingError
 from ..parameters import Parameters
 from ..sensors.catalogue import open_sensor
 from ..sensors.live import LiveFrame, LiveSensor
+from ..sensors.worker import Worker, packaged
 from .feed import FeatureFeed
 from .guided import Guidance, GuidedCapture
 from .scan import Cancelled, NeutralScan
@@ -145,7 +147,7 @@ class LiveRun:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until it tracks, at most ``timeout`` s; returns whether it does. Raises what it failed with."""
-        self._thread.join(timeout)
+        self._worker.join(timeout)
         if self.error is not None:
             raise self.error
         return self.state == TRACKING
@@ -159,8 +161,7 @@ class LiveRun:
             self._closed, scan = True, self._scan
         if scan is not None:
             scan.cancel()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(CLOSE_SECONDS)
+        self._worker.join(CLOSE_SECONDS)
         self._release()
         self.state = CLOSED
 
@@ -172,20 +173,17 @@ class LiveRun:
 
     # ---- the worker's thread, which ends where the session begins --------------------------------------------------
     def _start(self, work: Callable[[], None]) -> None:
-        self._thread = threading.Thread(target=self._guarded, args=(work,), name=f"live run {self.name}", daemon=True)
-        self._thread.start()
+        def body() -> None:
+            with suppress(Cancelled):
+                work()
 
-    def _guarded(self, work: Callable[[], None]) -> None:
-        try:
-            work()
-        except Cancelled:
-            pass
-        except AdaptiveFaceError as error:
-            self._fail(error)
-        except Exception as error:
-            failure = AdaptiveFaceError(f"{self.name}: {error or type(error).__name__}")
-            failure.__cause__ = error
-            self._fail(failure)
+        self._worker = Worker(f"live run {self.name}", body, self._fail, self._wrap, self._ended)
+        self._worker.start()
+
+    def _wrap(self, error: Exception) -> AdaptiveFaceError:
+        return packaged(error, f"{self.name}: the run failed", AdaptiveFaceError)
+
+    def _ended(self) -> None:
         if self._closed:  # close() may not have waited for what was going on here
             self._release()
 

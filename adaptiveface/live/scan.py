@@ -14,11 +14,10 @@ from ..errors import EndOfRecording, SensorError, SensorTimeoutError, TrackingEr
 from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
 from ..sensors.live import LiveFrame
+from ..sensors.worker import POLL_SECONDS
 from .feed import FeatureFeed
 from .guided import STEPS, Guidance, GuidedCapture
 
-#: Longest wait for a frame, s; cancelling has to stay responsive.
-POLL_SECONDS = 0.1
 #: Without a frame for so long (s) the scan says so.
 SILENCE_SECONDS = 1.0
 #: Frames with a face from which the proportions are taken where there is no depth.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ from ..blas import one_blas_thread
 from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError, TrackingError
 from ..parameters import Parameters
 from ..sensors.live import LiveFrame
+from ..sensors.worker import POLL_SECONDS, Latest, Worker, failure, packaged
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
@@ -18,8 +18,6 @@ from ..tracking.types import TrackedFrame
 from .feed import FeatureFeed
 from .statistics import LiveStatistics, Meter
 
-#: Longest wait for a frame, s: changes, messages and closing have to stay responsive.
-POLL_SECONDS = 0.1
 #: Longest :meth:`LiveSession.close` waits for the frame in hand, s.
 CLOSE_SECONDS = 0.9
 #: Without a frame for so long (s) the session says so.
@@ -58,16 +56,16 @@ class LiveSession:
         self._parameters, self._frozen = parameters or Parameters(), False
         self._tracker = self._make_tracker(actor)
         self._callbacks = tuple(on_result)
-        self._changed = threading.Condition()
+        self._results: Latest[LiveResult] = Latest(feed.sensor.name, "session")
+        self._changed = self._results.changed
         self._replacement: Tracker | None = None
-        self._forget_learned = self._closed = False
-        self._latest: LiveResult | None = None
+        self._forget_learned = False
         self._count = self._failures = 0
         self._errors: list[AdaptiveFaceError] = []  # not raised yet
         self._fatal: AdaptiveFaceError | None = None
         self._meter = Meter(feed)
-        self._thread = threading.Thread(target=self._run, name=f"tracker {feed.sensor.name}", daemon=True)
-        self._thread.start()
+        self._worker = Worker(f"tracker {feed.sensor.name}", self._run, self._fail, self._wrap, self._stopped)
+        self._worker.start()
 
     # ---- for readers, on any thread --------------------------------------------------------------------------------
     def latest(self, after: int = -1, timeout: float = 0.0) -> LiveResult | None:
@@ -78,8 +76,9 @@ class LiveSession:
         with self._changed:
             self._changed.wait_for(lambda: self._news(after) or not self.running, timeout)
             self._raise_error()
-            if self._latest is not None and self._latest.index > after:
-                return self._latest
+            newest = self._results.newest
+            if newest is not None and newest.index > after:
+                return newest
             if self._fatal is not None:
                 raise self._fatal
             return None
@@ -137,11 +136,8 @@ class LiveSession:
 
     def close(self) -> None:
         """Stop tracking, within a second; calling it again does nothing. Raises an error that nobody has seen yet."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(CLOSE_SECONDS)
+        self._results.close()
+        if self._worker.join(CLOSE_SECONDS):
             with self._changed:
                 self._raise_error()
 
@@ -156,7 +152,8 @@ class LiveSession:
                 raise
 
     def _news(self, after: int) -> bool:
-        return bool(self._errors) or (self._latest is not None and self._latest.index > after)
+        newest = self._results.newest
+        return bool(self._errors) or (newest is not None and newest.index > after)
 
     def _raise_error(self) -> None:
         if self._errors:
@@ -164,18 +161,18 @@ class LiveSession:
 
     # ---- the tracker's thread --------------------------------------------------------------------------------------
     def _run(self) -> None:
-        try:
-            with one_blas_thread():
-                while not self._closed and self._step():
-                    pass
-        except AdaptiveFaceError as error:
-            self._fail(error)
-        except Exception as error:
-            self._fail(_packaged("the tracker failed", error))
-        finally:
-            with self._changed:
-                self.running = False
-                self._changed.notify_all()
+        with one_blas_thread():
+            while not self._results.closed and self._step():
+                pass
+
+    @staticmethod
+    def _wrap(error: Exception) -> AdaptiveFaceError:
+        return packaged(error, "the tracker failed", TrackingError)
+
+    def _stopped(self) -> None:
+        with self._changed:
+            self.running = False
+            self._changed.notify_all()
 
     def _step(self) -> bool:
         """One frame; False when there will be no other."""
@@ -191,7 +188,7 @@ class LiveSession:
                 self._meter.message = f"{self.feed.sensor.name}: no new frame for {silence:.0f} s"
             return True
         except SensorError as error:
-            if not self.feed.running or self._closed:
+            if not self.feed.running or self._results.closed:
                 raise
             self._meter.message = str(error)
             return True
@@ -218,7 +215,7 @@ class LiveSession:
             try:
                 tracker = tracker.with_parameters(parameters)
             except Exception as error:
-                self._report(_packaged("these parameters cannot be used", error))
+                self._report(failure(error, "these parameters cannot be used", TrackingError))
                 with self._changed:
                     self._parameters = tracker.parameters.set(adaptive_pca__learn=self._parameters.adaptive_pca.learn)
         self._tracker = tracker
@@ -228,11 +225,11 @@ class LiveSession:
             tracked = self._tracker.track(frame)
         except Exception as error:  # one frame that breaks the numerics is lost, not the session
             self._failures += 1
-            failure = _packaged(f"frame {frame.index} cannot be tracked", error)
+            lost = failure(error, f"frame {frame.index} cannot be tracked", TrackingError)
             if self._failures >= MOST_FAILURES:
-                raise failure from error
+                raise lost from error
             self._tracker.forget()
-            return self._tracker.untracked(frame, str(failure))
+            return self._tracker.untracked(frame, str(lost))
         self._failures = 0
         return tracked
 
@@ -242,15 +239,14 @@ class LiveSession:
         self._count += 1
         self._meter.add(result.latency_ms, tracked)
         with self._changed:
-            self._latest = result
+            self._results.put(result)
             callbacks = self._callbacks
-            self._changed.notify_all()
         for callback in callbacks:
             try:
                 callback(result)
             except Exception as error:
                 self.remove_callback(callback)
-                self._report(error if isinstance(error, AdaptiveFaceError) else _packaged("a callback failed", error))
+                self._report(packaged(error, "a callback failed", TrackingError))
 
     def _report(self, error: AdaptiveFaceError) -> None:
         with self._changed:
@@ -259,16 +255,9 @@ class LiveSession:
             self._changed.notify_all()
 
     def _fail(self, error: AdaptiveFaceError) -> None:
-        if self._closed and isinstance(error, SensorError):
+        if self._results.closed and isinstance(error, SensorError):
             return  # closed in the wrong order: nothing is lost
         with self._changed:
             self._fatal = error
             self._errors.append(error)
             self._meter.message = str(error)
-
-
-def _packaged(what: str, error: Exception) -> AdaptiveFaceError:
-    """``error`` as an error of the package that says ``what`` went wrong."""
-    packaged = TrackingError(f"{what} ({str(error) or type(error).__name__})")
-    packaged.__cause__ = error
-    return packaged

@@ -13,9 +13,6 @@ import numpy as np
 from ..camera import Camera
 from ..frame import Features2D, RgbdFrame
 
-#: Longest a thread waits for a frame, s: closing has to stay responsive.
-POLL_SECONDS = 0.1
-
 
 @dataclass(frozen=True)
 class LiveFrame(RgbdFrame):

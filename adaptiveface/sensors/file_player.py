@@ -23,8 +23,9 @@ import numpy as np
 from .. import errors
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, SensorError
-from .driver import POLL_SECONDS, Driver, RawFrame
+from .driver import Driver, RawFrame
 from .matroska import is_plain_video
+from .worker import POLL_SECONDS
 
 #: By suffix: the module and the class of the driver whose ``path`` is such a file (it knows its ``camera`` once it is open),
 #: and the library that reads it.

@@ -7,9 +7,6 @@ thread of its own, checks what it delivers, opens it again after it was unplugge
 from __future__ import annotations
 
 import math
-import threading
-import time
-from collections import deque
 from collections.abc import Callable, Iterator
 
 from ..errors import (
@@ -19,8 +16,9 @@ from ..errors import (
     SensorError,
     SensorTimeoutError,
 )
-from .driver import POLL_SECONDS, Driver, LiveFrame, RawFrame, live_frame, usable
+from .driver import Driver, LiveFrame, RawFrame, live_frame, usable
 from .orientation import mirrored
+from .worker import POLL_SECONDS, Latest, Worker, packaged
 
 #: Longest :meth:`LiveSensor.close` waits for the vendor's library, s. What takes longer ends in the background.
 CLOSE_SECONDS = 0.4
@@ -61,15 +59,14 @@ class LiveSensor:
         self.broken = self._driver.broken  #: a recording's: reason of each
         self.mirrored = False  #: every frame is flipped left to right
         self._listeners: tuple[Callable[[LiveFrame], None], ...] = ()
-        self._changed = threading.Condition()
-        self._unread: deque[LiveFrame] = deque()
-        self._capacity = 1
-        self._error: AdaptiveFaceError | None = None
-        self._connected = self._opened = self._closed = False
+        self._frames: Latest[LiveFrame] = Latest(self.name, "sensor", waits=not self.live)
+        self._changed = self._frames.changed
+        self._error: AdaptiveFaceError | None = None  # with which it could not be opened
+        self._connected = self._opened = False
         self._handed_out = 0
         self._last: int | None = None
-        self._thread = threading.Thread(target=self._run, name=f"sensor {self.name}", daemon=True)
-        self._thread.start()
+        self._worker = Worker(f"sensor {self.name}", self._run, self._frames.end, self._translate)
+        self._worker.start()
         try:
             with self._changed:
                 self._changed.wait_for(lambda: self._opened or self._error, open_timeout)
@@ -90,23 +87,11 @@ class LiveSensor:
         """
         if timeout is None:
             timeout = LIVE_SECONDS if self.live else FILE_SECONDS
-        deadline = time.perf_counter() + timeout
         with self._changed:
-            while True:
-                if self._closed:
-                    raise SensorError(f"{self.name}: the sensor is closed")
-                frame = self._take()
-                if frame is not None:
-                    break
-                if self._error is not None:
-                    error = self._error
-                    if isinstance(error, SensorDisconnectedError) and self.reconnect:
-                        self._error = None  # said once; from now on there is hope until the time is over
-                    raise error
-                left = deadline - time.perf_counter()
-                if left <= 0:
-                    raise self._overdue(timeout)
-                self._changed.wait(left)
+            frame = self._frames.read(timeout, self._fresh)
+            values = {**vars(frame), "index": self._handed_out, "dropped": self.dropped}
+            self._handed_out += 1
+        frame = LiveFrame(**values)
         if not self.live:
             self._tell(frame)
         return frame
@@ -114,12 +99,12 @@ class LiveSensor:
     def buffer(self, frames: int) -> None:
         """Keep up to ``frames`` unread frames, however old: for recording, where each one counts and none is late."""
         with self._changed:
-            self._capacity, self.max_age = frames, math.inf
+            self._frames.capacity, self.max_age = frames, math.inf
 
     def mirror(self) -> None:
         """Flip every frame, also those that are not read yet."""
         with self._changed:
-            self._unread = deque(mirrored(frame) for frame in self._unread)
+            self._frames.convert(mirrored)
             self.mirrored = True
 
     @property
@@ -142,12 +127,8 @@ class LiveSensor:
 
     def close(self) -> None:
         """Stop the thread and release the sensor, within half a second; calling it again does nothing."""
-        with self._changed:
-            self._closed = True
-            self._unread.clear()
-            self._changed.notify_all()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(CLOSE_SECONDS)
+        self._frames.close()
+        self._worker.join(CLOSE_SECONDS)
 
     def __enter__(self) -> LiveSensor:
         return self
@@ -156,7 +137,7 @@ class LiveSensor:
         self.close()
 
     def __iter__(self) -> Iterator[LiveFrame]:
-        while not self._closed:
+        while not self._frames.closed:
             try:
                 yield self.read()
             except EndOfRecording:
@@ -166,49 +147,38 @@ class LiveSensor:
         for listener in self._listeners:
             listener(frame)
 
-    def _take(self) -> LiveFrame | None:
-        if not self._unread:
-            return None
-        frame = self._unread.popleft()
-        self._changed.notify_all()  # a file goes on reading
-        if self.live and frame.age > self.max_age:
-            self.dropped += 1
-            self.superseded += 1
-            return None
-        self._handed_out += 1
-        values = {**vars(frame), "index": self._handed_out - 1, "dropped": self.dropped}
-        return LiveFrame(**values)
-
-    def _overdue(self, timeout: float) -> SensorError:
-        if not self._connected:
-            return SensorDisconnectedError(f"{self.name}: disconnected; waiting for it to come back")
-        return SensorTimeoutError(f"{self.name}: no new frame within {timeout:g} s")
+    def _fresh(self, frame: LiveFrame) -> bool:
+        """Whether a frame may be handed out; counts it as dropped where it is too old."""
+        late = self.live and frame.age > self.max_age
+        self.dropped += late
+        self.superseded += late
+        return not late
 
     # ---- the sensor's thread ---------------------------------------------------------------------------------------
     def _run(self) -> None:
         driver: Driver | None = self._driver
-        while not self._closed:
+        while not self._frames.closed:
             try:
                 driver = driver or self._make_driver()
                 driver.open()
                 self.fps, self.depth_scale = driver.fps, driver.depth_scale
                 self._last = None  # a sensor that comes back counts from the start
-                self._set(connected=True)
+                self._connect()
                 self._pump(driver)
             except Exception as error:  # whatever a vendor's library raises ends here
-                final = not self._opened or not self.reconnect or isinstance(error, EndOfRecording)
-                if self._connected or final:
-                    self._set(connected=False, error=self._translate(error))
-                if final:
+                if not self._opened or not self.reconnect or isinstance(error, EndOfRecording):
+                    self._finish(self._translate(error))
                     return
+                if self._connected:
+                    self._disconnect(self._translate(error))
             finally:
                 _close_quietly(driver)
                 driver = None
             with self._changed:
-                self._changed.wait_for(lambda: self._closed, RECONNECT_SECONDS)
+                self._changed.wait_for(lambda: self._frames.closed, RECONNECT_SECONDS)
 
     def _pump(self, driver: Driver) -> None:
-        while not self._closed:
+        while not self._frames.closed:
             raw = driver.grab(POLL_SECONDS)
             if raw is not None:
                 self._publish(raw)
@@ -227,37 +197,39 @@ class LiveSensor:
         with self._changed:
             if self.mirrored and not flipped:
                 frame = mirrored(frame)
-            if not self.live:
-                self._changed.wait_for(lambda: len(self._unread) < self._capacity or self._closed)
-            while len(self._unread) >= self._capacity:
-                self._unread.popleft()
-                self.superseded += 1
-                lost += 1
-            self.dropped += lost
-            if not self._closed:
-                self._unread.append(frame)
+            replaced = self._frames.put(frame)
+            self.superseded += replaced
+            self.dropped += lost + replaced
+
+    def _connect(self) -> None:
+        with self._changed:
+            self._frames.resume()
+            self._connected = self._opened = True
             self._changed.notify_all()
 
-    def _set(self, connected: bool, error: AdaptiveFaceError | None = None) -> None:
+    def _disconnect(self, error: AdaptiveFaceError) -> None:
+        """The sensor is gone, and may come back."""
         with self._changed:
-            if not connected and not self.live:
-                self._changed.wait_for(lambda: not self._unread or self._closed)
-            elif not connected:
-                self.superseded += len(self._unread)
-                self.dropped += len(self._unread)
-                self._unread.clear()  # a frame from before the unplugging is not what the sensor sees now
-            self._connected, self._error = connected, error
-            self._opened |= connected
+            self._drop_unread()
+            self._connected = False
+            self._frames.interrupt(error, SensorDisconnectedError(f"{self.name}: disconnected; waiting for it to come back"))
+
+    def _finish(self, error: AdaptiveFaceError) -> None:
+        """There will be no other frame."""
+        with self._changed:
+            self._drop_unread()
+            self._frames.end(error)
+            self._connected, self._error = False, error
             self._changed.notify_all()
+
+    def _drop_unread(self) -> None:
+        dropped = self._frames.drop()
+        self.superseded += dropped
+        self.dropped += dropped
 
     def _translate(self, error: Exception) -> AdaptiveFaceError:
-        if isinstance(error, AdaptiveFaceError):
-            return error
-        reason = str(error) or type(error).__name__
         kind = SensorDisconnectedError if self._connected else SensorError
-        translated = kind(f"{self.name}: the driver failed ({reason})")
-        translated.__cause__ = error
-        return translated
+        return packaged(error, f"{self.name}: the driver failed", kind)
 
 
 def _close_quietly(driver: Driver | None) -> None:
