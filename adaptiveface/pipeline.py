@@ -33,6 +33,7 @@ from .parameters import Parameters
 from .result import Result, ResultBuilder
 from .rows import discard, unfinished_folder
 from .sensors import FrameSource
+from .sensors.numbered import Abilities
 from .sensors.orientation import turned
 from .tracking.colour_offset import ColourOffset
 from .tracking.colour_tracker import make_tracker
@@ -61,7 +62,7 @@ class FrameReader:
     """
 
     def __init__(self, source: FrameSource, detector: FeatureDetector | None = None) -> None:
-        self.source, self.detector = source, detector
+        self.source, self.detector, self._abilities = source, detector, Abilities.of(source)
         self._own_detector: FeatureDetector | None = None
         self._upright: Upright | None = None
         self.skipped: dict[int, str] = {}
@@ -82,7 +83,7 @@ class FrameReader:
         except FrameError as error:
             self.skipped[index] = str(error)
             return None
-        if frame.features is not None or getattr(self.source, "has_features", False):
+        if frame.features is not None or self._abilities.has_features:
             return frame
         if frame.colour is None:
             raise TrackingError(f"{self.source.name}: neither colour images nor features.csv, so no face can be found")
@@ -103,8 +104,8 @@ class FrameReader:
 
     def timestamp(self, index: int) -> float:
         """Seconds at which frame ``index`` was due, for one that cannot be read."""
-        timestamps = getattr(self.source, "timestamps", None)
-        return float(timestamps[index]) if timestamps is not None else index / getattr(self.source, "fps", 30.0)
+        timestamps = self._abilities.timestamps
+        return float(timestamps[index]) if timestamps is not None else index / self._abilities.fps
 
     def fail(self, message: str) -> TrackingError:
         """An error that says ``message`` and, where frames were skipped, how many and the first reason."""
@@ -133,8 +134,8 @@ def capture_from(
     :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` for a head that is no person's.
     """
     model, parameters = model or embedded_face_model(), parameters or Parameters()
-    colour_only = getattr(source, "colour_only", False)
-    anywhere = colour_only and not getattr(source, "has_features", False) and not isinstance(neutral_frames, range)
+    known = Abilities.of(source)
+    anywhere = known.colour_only and not known.has_features and not isinstance(neutral_frames, range)
     if anywhere:
         neutral_frames = range(0, len(source), max(1, math.ceil(len(source) / MAX_NEUTRAL_FRAMES)))
     count = neutral_frames if isinstance(neutral_frames, int) else None
@@ -146,7 +147,7 @@ def capture_from(
         raise reader.fail("no frame can be used")
     if not any(map(face_found, take.frames)):
         raise reader.fail(f"no face found in any of {reader.reads} frames")
-    if colour_only:
+    if known.colour_only:
         actor = _capture_colour(source, take.frames, model, parameters)
     else:
         with one_blas_thread(), _capture_bar(progress) as report:
@@ -162,7 +163,7 @@ def capture_from(
 
 def _capture_colour(source, frames: list[RgbdFrame], model: FaceModel | None, parameters: Parameters) -> Actor:
     """The actor of a source without depth. A focal length that was a guess, and cannot be, is set right in the source."""
-    guessed = getattr(source, "guessed_camera", False)
+    guessed = Abilities.of(source).guessed_camera
     with one_blas_thread():
         capture = capture_colour(frames, model, parameters, guessed)
     if guessed:
@@ -190,7 +191,7 @@ def track_source(
     :class:`TrackingInterrupted` (with the result so far) on Ctrl-C.
     """
     parameters = parameters or Parameters()
-    colour_only = getattr(source, "colour_only", False)
+    colour_only = Abilities.of(source).colour_only
     tracker, watch = make_tracker(actor, parameters, colour_only), SizeWatch(source, actor)
     builder = ResultBuilder(actor, parameters, len(source), keep_stages, colour_only, folder)
     offset, gaze = ColourOffset(actor), GazeTrack(actor)
@@ -216,12 +217,12 @@ def track_source(
                 if on_frame is not None:
                     on_frame(tracked, frame)
     except KeyboardInterrupt as interruption:
-        builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
+        builder.turned, builder.mirrored = reader.quarters, Abilities.of(source).mirrored
         raise TrackingInterrupted(gaze.onto(builder.finish(tracker.model.correctives))) from interruption
     if len(reader.skipped) == len(source):
         raise reader.fail("no frame can be used")
     watch.judge()
-    builder.turned, builder.mirrored = reader.quarters, getattr(source, "mirrored", False)
+    builder.turned, builder.mirrored = reader.quarters, Abilities.of(source).mirrored
     result = gaze.onto(builder.finish(tracker.model.correctives))
     if not result.tracked.any():
         raise reader.fail(f"the face was found in none of {len(source)} frames")

@@ -33,9 +33,10 @@ def source_name(args: argparse.Namespace) -> str:
 def opened(text: str, field_of_view: float | None = None):
     """The source named by ``text``; what it converted or repaired is printed, one line each."""
     from ..sensors import open_source
+    from ..sensors.numbered import Abilities
 
     source = open_source(text, field_of_view)
-    for note in getattr(source, "notes", ()):
+    for note in Abilities.of(source).notes:
         print(note)
     return source
 

@@ -18,6 +18,7 @@ from ..errors import TrackingError
 from ..face_model import FaceModel
 from ..frame import RgbdFrame
 from ..mesh import surface_points
+from ..sensors.numbered import Abilities
 from ..tracking.detection import measured_size
 
 if TYPE_CHECKING:
@@ -99,7 +100,8 @@ def likely_unit(source, size: float) -> str:
     """What to do about a face that is ``size`` times too large in the depth of ``source``, or ""."""
     if np.isnan(size) or USUAL[0] < size < USUAL[1]:
         return ""
-    units, where = getattr(source, "depth_scale", None), getattr(source, "unit_file", None)
+    known = Abilities.of(source)
+    units, where = known.depth_scale, known.unit_file
     if units is None or where is None:
         return "; the unit of its depth, or its focal length, is wrong by that"
     likely = min(USUAL_UNITS, key=lambda usual: abs(np.log(usual / (units * size))))
@@ -134,7 +136,7 @@ class SizeWatch:
     def __init__(self, source, actor) -> None:
         self._source, self._sizes = source, []
         self._points = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)
-        self._done = getattr(source, "colour_only", False)
+        self._done = Abilities.of(source).colour_only
 
     def see(self, frame: RgbdFrame) -> None:
         """Take a frame with features into account."""

@@ -3,10 +3,36 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
 
 from ..errors import FrameError
 from ..frame import RgbdFrame
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What a source may say about itself by an attribute of the same name; the default holds for one that does not."""
+
+    fps: float = 30.0
+    depth_scale: float | None = None  #: units per metre in which depth was measured
+    unit_file: Path | None = None  #: the file that says so
+    timestamps: np.ndarray | None = None  #: (F,) s
+    has_features: bool = False  #: frames bring 2D features; the detector is not needed
+    colour_only: bool = False  #: there is no depth camera: the degraded mode
+    guessed_camera: bool = False  #: nothing says what the focal length is
+    mirrored: bool = False  #: frames are flipped when they are read
+    notes: Sequence[str] = ()  #: what was repaired or is missing, a line each
+
+    @classmethod
+    def of(cls, source: Any) -> Self:
+        """Those of a ``source``; None has none."""
+        names = (entry.name for entry in fields(cls))
+        return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)})
 
 
 class NumberedFrames(ABC):

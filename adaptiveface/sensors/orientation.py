@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..frame import FEATURE_IDS, Features2D, RgbdFrame
-from .numbered import NumberedFrames
+from .numbered import Abilities, NumberedFrames
 
 #: What ends the name of a source whose pictures are mirrored, as selfie videos are.
 MIRRORED = ",mirrored"
@@ -92,9 +92,10 @@ class OrientedSource(NumberedFrames):
         camera = source.camera
         flipped = dataclasses.replace(camera, cx=camera.width - 1 - camera.cx) if mirrored else camera
         self.camera, self.name = turned_camera(flipped, quarters), source.name
-        for name in ("fps", "depth_scale", "timestamps", "has_features", "colour_only", "notes", "unit_file"):
-            if hasattr(source, name):
-                setattr(self, name, getattr(source, name))
+        known = Abilities.of(source)
+        self.fps, self.depth_scale, self.unit_file = known.fps, known.depth_scale, known.unit_file
+        self.timestamps, self.notes = known.timestamps, known.notes
+        self.has_features, self.colour_only = known.has_features, known.colour_only
 
     def __len__(self) -> int:
         return len(self._source)
@@ -115,6 +116,6 @@ def as_tracked(source, result):
     """``source`` the way round in which ``result`` was tracked, so that pictures and meshes agree; None stays None."""
     if source is None:
         return None
-    flip = bool(getattr(result, "mirrored", False)) and not getattr(source, "mirrored", False)
+    flip = bool(getattr(result, "mirrored", False)) and not Abilities.of(source).mirrored
     quarters = int(getattr(result, "turned", 0)) % 4
     return OrientedSource(source, flip, quarters) if flip or quarters else source

@@ -9,6 +9,7 @@ from ..errors import EndOfRecording, FrameError, ParameterError
 from ..frame import RgbdFrame
 from ..synthetic.noise import DEPTH_SCALES
 from .driver import Driver, RawFrame
+from .numbered import Abilities
 
 NOISES = tuple(DEPTH_SCALES)
 #: The live synthetic performance: a neutral scan and expressions, rendered once and played forth and back.
@@ -32,9 +33,9 @@ class PlaybackDriver(Driver):
 
     def __init__(self, source) -> None:
         self.source, self.name = source, source.name
-        self.fps, self.depth_scale = getattr(source, "fps", 30.0), getattr(source, "depth_scale", 10_000.0)
-        self.has_features = getattr(source, "has_features", False)
-        self.colour_only = getattr(source, "colour_only", False)
+        known = Abilities.of(source)
+        self.fps, self.depth_scale = known.fps, known.depth_scale or 10_000.0
+        self.has_features, self.colour_only = known.has_features, known.colour_only
         self.broken: list[str] = []
 
     def open(self) -> None:

@@ -31,6 +31,7 @@ class FrameSource(Protocol):
     used. A source whose frames carry 2D features says so with ``has_features = True``; for any other source the
     detector runs on the colour images. A source without a depth camera says ``colour_only = True``: it is tracked in
     the degraded mode of ``tracking/colour_tracker.py``, which nothing else switches on.
+    :class:`.numbered.Abilities` lists what else a source may say.
     """
 
     camera: Camera
