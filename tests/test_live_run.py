@@ -152,7 +152,9 @@ def test_a_sensor_that_cannot_be_opened_is_an_error_of_the_package():
         assert run.state == FAILED
 
 
-@pytest.mark.parametrize("error,words", [(TrackingError("disk full"), "^disk full"), (ValueError("5"), "^test head: 5")])
+@pytest.mark.parametrize(
+    "error,words", [(TrackingError("disk full"), "^disk full"), (ValueError("5"), r"^test head: the run failed \(5\)")]
+)
 def test_what_a_watcher_raises_fails_the_run(sensor, error, words):
     def watch(run) -> None:
         raise error

@@ -195,7 +195,8 @@ class LiveSensor:
         if self.live:
             self._tell(frame)
         with self._changed:
-            if self.mirrored and not flipped:
+            self._frames.wait_for_room()
+            if self.mirrored and not flipped:  # since it arrived
                 frame = mirrored(frame)
             replaced = self._frames.put(frame)
             self.superseded += replaced

@@ -31,15 +31,14 @@ class Latest(Generic[T]):
         self.newest: T | None = None  #: the last item that was put, read or not
         self._items: deque[T] = deque()
         self._end: AdaptiveFaceError | None = None
-        self._unsaid: SensorError | None = None
-        self._overdue: SensorError | None = None
+        self._unsaid: AdaptiveFaceError | None = None
+        self._overdue: AdaptiveFaceError | None = None
 
     # ---- for the thread that makes the items -----------------------------------------------------------------------
     def put(self, item: T) -> int:
         """Hand over an item; returns how many unread ones it replaced. Does nothing once the slot is closed."""
         with self.changed:
-            if self._waits:
-                self.changed.wait_for(lambda: len(self._items) < self.capacity or self.closed)
+            self.wait_for_room()
             replaced = 0
             while len(self._items) >= self.capacity:
                 self._items.popleft()
@@ -51,7 +50,13 @@ class Latest(Generic[T]):
             self.changed.notify_all()
         return replaced
 
-    def interrupt(self, error: SensorError, overdue: SensorError | None = None) -> None:
+    def wait_for_room(self) -> None:
+        """Where the producer waits, return once an item finds room; what is put may depend on that moment."""
+        with self.changed:
+            if self._waits:
+                self.changed.wait_for(lambda: len(self._items) < self.capacity or self.closed)
+
+    def interrupt(self, error: AdaptiveFaceError, overdue: AdaptiveFaceError | None = None) -> None:
         """No items for now: readers get ``error`` at once, and ``overdue`` (or ``error``) whenever their time is over.
 
         Only the first of several interruptions in a row is told at once.
