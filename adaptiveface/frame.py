@@ -144,3 +144,10 @@ class RgbdFrame:
     index: int = 0
     timestamp: float = 0.0
     features: Features2D | None = None
+
+    @property
+    def seen(self) -> Features2D:
+        """The features of a frame that has some; raises ValueError for one without."""
+        if self.features is None:
+            raise ValueError(f"frame {self.index} has no 2D features")
+        return self.features

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any, TypeVar, overload
 
 import numba
 from numba.core import caching
@@ -19,13 +20,23 @@ from numba.core.serialize import dumps
 
 from .folders import cache_folder
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 # Older versions of numba name them with an underscore.
 _Beside, _Named = (
     getattr(caching, name, None) or getattr(caching, f"_{name}") for name in ("InTreeCacheLocator", "UserProvidedCacheLocator")
 )
 
 
-def compiled(function: Callable | None = None, **options):
+@overload
+def compiled(function: F) -> F: ...
+
+
+@overload
+def compiled(*, nogil: bool = ..., inline: str = ...) -> Callable[[F], F]: ...
+
+
+def compiled(function: Callable | None = None, **options: Any) -> Any:
     """As ``numba.njit(**options)``, with a cache wherever one can be written; with options it makes the decorator."""
     if function is None:
         return lambda decorated: compiled(decorated, **options)

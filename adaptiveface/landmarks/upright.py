@@ -13,7 +13,7 @@ from collections import Counter
 import numpy as np
 
 from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
-from ..sensors.orientation import turned
+from ..sensors.orientation import AnyFrame, turned
 
 #: Ways in which a picture is shown, in quarters of a turn anticlockwise: the first two agree where it is upright.
 _ORDER = (0, 1, 3, 2)
@@ -35,7 +35,7 @@ class Upright:
         self._votes: Counter[int] = Counter()
         self._frames = 0
 
-    def detect(self, frame: RgbdFrame) -> RgbdFrame:
+    def detect(self, frame: AnyFrame) -> AnyFrame:
         """``frame`` the right way up, with its features or None where no face is seen."""
         found = turned(frame, self.quarters)
         features = self.detector.detect(found)

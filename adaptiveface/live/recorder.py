@@ -24,7 +24,8 @@ class LiveRecorder:
     def __init__(self, sensor: LiveSensor, folder: Path) -> None:
         check_new_folder(folder)
         check_has_depth(sensor)
-        self.sensor, self.folder, self.error = sensor, Path(folder), None
+        self.sensor, self.folder = sensor, Path(folder)
+        self.error: AdaptiveFaceError | None = None
         self._lock, self._closed = threading.Lock(), False
         self._recorder: FrameRecorder | None = None
         self._start, self._lost = time.perf_counter(), sensor.lost_by_device

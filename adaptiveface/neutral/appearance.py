@@ -73,5 +73,5 @@ def _inner_grid(steps: int) -> np.ndarray:
     """(steps (steps + 1) / 2, 3) evenly spread barycentric weights inside a triangle."""
     i, j = np.meshgrid(np.arange(steps), np.arange(steps), indexing="ij")
     inside = i + j < steps
-    i, j = i[inside] + 1 / 3, j[inside] + 1 / 3
-    return np.stack([i, j, steps - i - j], axis=1) / steps
+    a, b = i[inside] + 1 / 3, j[inside] + 1 / 3
+    return np.stack([a, b, steps - a - b], axis=1) / steps

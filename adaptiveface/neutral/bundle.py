@@ -60,6 +60,10 @@ class Bundle:
     coefficients: np.ndarray
 
 
+#: See :func:`_frame_equations`.
+FrameEquations = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
 class BundleProblem:
     """The energy of :func:`solve_bundle` and its linearisation, frame by frame."""
 
@@ -77,9 +81,12 @@ class BundleProblem:
 
     def points(self, identity: np.ndarray, offsets: np.ndarray, x: np.ndarray) -> np.ndarray:
         """(L, 3) landmarks in the head frame."""
-        return self.mean + self.modes @ identity + offsets + self.expressions @ x
+        places: np.ndarray = self.mean + self.modes @ identity + offsets + self.expressions @ x
+        return places
 
-    def linearise(self, view: View, pose, identity, offsets, x):
+    def linearise(
+        self, view: View, pose: np.ndarray, identity: np.ndarray, offsets: np.ndarray, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Of one frame: rows (R, 6 + A) in its own unknowns; (R, M) in identity; (R / 2, 2, 3) in the offset; values
         (R / 2, 2); landmarks seen; the point about which its pose turns.
 
@@ -146,7 +153,9 @@ def _priors(problem: BundleProblem, landmarks: FeatureSet) -> tuple[np.ndarray, 
     return h, np.zeros(len(h))
 
 
-def _frame_equations(problem: BundleProblem, view: View, pose, identity, offsets, x):
+def _frame_equations(
+    problem: BundleProblem, view: View, pose: np.ndarray, identity: np.ndarray, offsets: np.ndarray, x: np.ndarray
+) -> FrameEquations:
     """Blocks of one frame's normal equations: own (6 + A), own by shared, shared, both right-hand sides; the turn's centre."""
     own, by_identity, by_offset, value, seen, centre = problem.linearise(view, pose, identity, offsets, x)
     m, count = by_identity.shape[1], len(problem.mean)
@@ -162,7 +171,7 @@ def _frame_equations(problem: BundleProblem, view: View, pose, identity, offsets
     return h, own.T @ shared, shared.T @ shared, g, -shared.T @ value, centre
 
 
-def _add_eliminated(h: np.ndarray, g: np.ndarray, part, x: np.ndarray) -> None:
+def _add_eliminated(h: np.ndarray, g: np.ndarray, part: FrameEquations, x: np.ndarray) -> None:
     """Add a frame to the shared equations, in place: its pose and free coefficients eliminated, the others as they are."""
     own, cross, shared, right, shared_right, _ = part
     free = np.concatenate([np.ones(6, bool), (x > 1e-6) & (x < 1 - 1e-6)])
@@ -174,7 +183,7 @@ def _add_eliminated(h: np.ndarray, g: np.ndarray, part, x: np.ndarray) -> None:
     g += shared_right - cross[held].T @ value - cross[free].T @ eliminated[:, -1]
 
 
-def _own_update(part, shared: np.ndarray, pose: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _own_update(part: FrameEquations, shared: np.ndarray, pose: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A frame's new pose and bounded coefficients for given shared unknowns."""
     own, cross, _, right, _, centre = part
     right = right - cross @ shared

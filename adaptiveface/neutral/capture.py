@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ def capture_actor(
     model: FaceModel | None = None,
     parameters: Parameters = DEFAULTS,
     progress: Progress | None = None,
-    source=None,
+    source: Any = None,
 ) -> Actor:
     """Capture the neutral face of one person and build the personal blendshapes (paper, section 3).
 
@@ -57,7 +58,7 @@ def capture_neutral(
     model: FaceModel | None = None,
     parameters: Parameters = DEFAULTS,
     progress: Progress | None = None,
-    source=None,
+    source: Any = None,
 ) -> NeutralCapture:
     """As :func:`capture_actor`, with every intermediate result."""
     model = embedded_face_model() if model is None else model
@@ -93,7 +94,9 @@ def _appearance(actor: Actor, frames: Sequence[RgbdFrame], scan: FusedScan, para
     return gather_appearance(actor, views, parameters.refinement)
 
 
-def build_actor(model: FaceModel, neutral: np.ndarray, scan: FusedScan | None = None, identity=None) -> Actor:
+def build_actor(
+    model: FaceModel, neutral: np.ndarray, scan: FusedScan | None = None, identity: np.ndarray | None = None
+) -> Actor:
     """The rig of a head whose neutral (V, 3) is known: the generic expressions transferred to it."""
     blendshapes = deformation_transfer(model.mean, neutral, model.triangles, model.generic_expressions)
     empty = np.zeros((0, 3))

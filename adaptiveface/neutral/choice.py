@@ -57,9 +57,9 @@ def judge(frame: RgbdFrame, points: np.ndarray) -> Judged | None:
     pose = pose_from_features(frame, points)
     if pose is None:
         return None
-    face = expression(frame.features, frame.camera.project(transform_points(pose, points)))
+    face = expression(frame.seen, frame.camera.project(transform_points(pose, points)))
     towards = -(pose[:3, 2] @ pose[:3, 3]) / max(np.linalg.norm(pose[:3, 3]), 1e-9)
-    confidence = frame.features.confidence
+    confidence = frame.seen.confidence
     seen = float(confidence.mean() / max(confidence.max(), 1e-9)) if confidence.max() > 0.05 else 0.0
     angle = float(np.degrees(np.arccos(np.clip(towards, -1, 1))))
     return Judged(angle, seen, face.mouth_open, (face.mouth_width, face.eyes, face.brows))
@@ -68,11 +68,12 @@ def judge(frame: RgbdFrame, points: np.ndarray) -> Judged | None:
 def costs(judged: Sequence[Judged | None]) -> np.ndarray:
     """(F, 4) what speaks against each frame, in the order of ``WORDS``: calm below 1."""
     out = np.full((len(judged), len(WORDS)), 9.0)
-    known = [k for k, face in enumerate(judged) if face is not None]
-    if not known:
+    faces = [(k, face) for k, face in enumerate(judged) if face is not None]
+    if not faces:
         return out
-    angle, seen, mouth = (np.array([getattr(judged[k], name) for k in known]) for name in ("angle", "seen", "mouth"))
-    rest = np.array([judged[k].rest for k in known])
+    known = [k for k, _ in faces]
+    angle, seen, mouth = (np.array([getattr(face, name) for _, face in faces]) for name in ("angle", "seen", "mouth"))
+    rest = np.array([face.rest for _, face in faces])
     quiet = (angle < ASIDE) & (mouth < OPEN)
     usual = np.median(rest[quiet] if quiet.sum() >= 3 else rest, axis=0)
     unlike = (np.abs(rest - usual) / UNLIKE).max(axis=1)
@@ -94,7 +95,7 @@ def choose(judged: Sequence[Judged | None], count: int) -> Choice:
         return Choice(lead)
     trouble = _trouble(cost[lead])
     calm = np.flatnonzero(cost.max(axis=1) < 1)
-    frontal = [k for k in calm if judged[k].angle < FRONTAL]
+    frontal = [face for face in (judged[int(k)] for k in calm) if face is not None and face.angle < FRONTAL]
     if len(calm) < max(3, count // 8) or not frontal:
         return Choice(lead, f"the neutral frames are doubtful: of {len(lead)}, {trouble}")
     size = min(count, len(calm))
@@ -107,7 +108,7 @@ def choose(judged: Sequence[Judged | None], count: int) -> Choice:
 def leading_is_calm(cost: np.ndarray, judged: Sequence[Judged | None]) -> bool:
     """Whether enough of the frames are calm, and some of them seen from the front."""
     calm = cost.max(axis=1) < 1
-    frontal = sum(ok and face.angle < FRONTAL for ok, face in zip(calm, judged, strict=True))
+    frontal = sum(bool(ok) and face is not None and face.angle < FRONTAL for ok, face in zip(calm, judged, strict=True))
     return bool(calm.mean() >= ENOUGH and frontal >= min(3, max(1, len(judged) // 8)))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from ..actor import Actor
 from ..errors import TrackingError
 from ..face_model import FaceModel, embedded_face_model
+from ..feature_set import FeatureSet
 from ..frame import SCORE_NAMES, DetectedFace, RgbdFrame
 from ..mesh import surface_points, transform_points
 from ..parameters import Parameters
@@ -78,7 +79,7 @@ def capture_colour(
     """
     model = embedded_face_model() if model is None else model
     if model.landmarks is not None and any(frame.features is not None and frame.features.face for frame in frames):
-        return _from_landmarks(frames, model, parameters, guessed_focal)
+        return _from_landmarks(frames, model, model.landmarks, parameters, guessed_focal)
     return ColourCapture(_from_features(frames, model, parameters))
 
 
@@ -104,12 +105,14 @@ def _from_features(frames: Sequence[RgbdFrame], model: FaceModel, parameters: Pa
     return replace(actor, feature_triangles=places[0], feature_weights=places[1])
 
 
-def _from_landmarks(frames, model: FaceModel, parameters: Parameters, guessed_focal: bool) -> ColourCapture:
+def _from_landmarks(
+    frames: Sequence[RgbdFrame], model: FaceModel, landmarks: FeatureSet, parameters: Parameters, guessed_focal: bool
+) -> ColourCapture:
     """From the detector's landmarks of frames in any expression."""
     focal = focal_factor(frames, model) if guessed_focal else 1.0
     frames = [replace(frame, camera=frame.camera.zoomed(focal)) for frame in frames]
     solved = solve_frames(frames, model, parameters.fit.modes)
-    neutral, landmarks = model.neutral(solved.identity), model.landmarks
+    neutral = model.neutral(solved.identity)
     offset = landmarks.offset.copy()
     offset[~landmarks.held_out] += solved.offsets
     actor = replace(build_actor(model, neutral, identity=solved.identity), landmarks=replace(landmarks, offset=offset))
@@ -132,17 +135,19 @@ def solve_frames(frames: Sequence[RgbdFrame], model: FaceModel, modes: int) -> B
 
     Raises :class:`TrackingError` when none does.
     """
+    if model.landmarks is None:
+        raise ValueError("the face model has no landmarks")
     landmarks = model.landmarks.fitted
     feature_points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
-    seen = [frame for frame in frames if frame.features is not None and frame.features.face is not None]
-    seen = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, min(len(seen), MAX_VIEWS)).round().astype(int))]
+    detected = [frame for frame in frames if frame.features is not None and frame.features.face is not None]
+    picked = np.unique(np.linspace(0, len(detected) - 1, min(len(detected), MAX_VIEWS)).round().astype(int))
     views, poses = [], []
-    for frame in seen:
+    for frame in (detected[k] for k in picked):
         pose = pose_from_features(_without_depth(frame), feature_points)
-        if pose is not None:
+        face, pixels = frame.seen.face, landmarks.pixels(frame.seen)
+        if pose is not None and face is not None and pixels is not None:
             poses.append(pose)
-            prior = scored_coefficients(frame.features.face, model)
-            views.append(View(landmarks.pixels(frame.features), frame.camera, prior, float(pose[2, 3])))
+            views.append(View(pixels, frame.camera, scored_coefficients(face, model), float(pose[2, 3])))
     if not views:
         raise TrackingError(f"no face found in any of {len(frames)} frames")
     return solve_bundle(model, landmarks, views, np.array(poses), modes)
@@ -175,7 +180,7 @@ def fit_identity_to_features(
     if not seen:
         raise TrackingError(f"no face found in any of {len(frames)} neutral frames")
     weight = min(1.0, INDEPENDENT_FRAMES / len(seen)) / FEATURE_SIGMA**2
-    identity = np.zeros(modes)
+    identity: np.ndarray = np.zeros(modes)
     for _ in range(ROUNDS):
         parts = [_linearise(f, p, mean, basis, identity, weight) for f, p in zip(seen, poses, strict=True)]
         h, g = np.eye(modes), np.zeros(modes)  # the prior: coefficients are standard deviations
@@ -191,7 +196,9 @@ def fit_identity_to_features(
     return identity, seen, np.array(poses)
 
 
-def _linearise(frame, pose, mean, basis, identity, weight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _linearise(
+    frame: RgbdFrame, pose: np.ndarray, mean: np.ndarray, basis: np.ndarray, identity: np.ndarray, weight: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal equations (6 + M) of one frame's features in (pose update, coefficients), and the update's centre."""
     rows = feature_rows(frame.features, frame.camera, pose)
     points = mean[rows.index] + basis[rows.index] @ identity

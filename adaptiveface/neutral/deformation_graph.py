@@ -92,7 +92,8 @@ def carry_matrix(graph: DeformationGraph, vertices: np.ndarray) -> tuple[sp.csr_
 
 def rest_positions(graph: DeformationGraph) -> np.ndarray:
     """(V, 3) sum_i w_i x_i: the constant part of the deformed vertices."""
-    return np.einsum("vc,vcd->vd", graph.shares, graph.positions[graph.carriers])
+    positions: np.ndarray = np.einsum("vc,vcd->vd", graph.shares, graph.positions[graph.carriers])
+    return positions
 
 
 def smoothness_rows(graph: DeformationGraph) -> tuple[sp.csr_matrix, np.ndarray]:

@@ -119,11 +119,11 @@ def head_angles(pose: np.ndarray) -> tuple[float, float]:
     return float(np.degrees(yaw)), float(np.degrees(pitch))
 
 
-def seen_by_depth(depth: np.ndarray, camera: Camera, points: np.ndarray, normals: np.ndarray, reach: float):
+def seen_by_depth(depth: np.ndarray, camera: Camera, points: np.ndarray, normals: np.ndarray, reach: float) -> np.ndarray:
     """(n,) bool: camera-frame points, mm, that face the camera and have depth within ``reach`` mm of their own."""
     facing = np.einsum("nd,nd->n", points, normals) < -0.25 * np.linalg.norm(points, axis=1)
     u, v = np.rint(camera.project(points)).astype(int).T
-    inside = facing & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    inside: np.ndarray = facing & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
     measured = depth[v[inside], u[inside]]
     inside[inside] = (measured > 0) & (np.abs(measured - points[inside, 2]) < reach)
     return inside

@@ -49,7 +49,8 @@ class FeatureConstraints:
     def rms(self, points: np.ndarray) -> np.ndarray:
         """(40,) root mean square distance of points (40, 3) in the scan frame to their rays, mm."""
         square = np.einsum("fi,fij,fj->f", points, self.A, points) - 2 * (self.b * points).sum(1) + self.c
-        return np.sqrt(np.maximum(square, 0.0))
+        distances: np.ndarray = np.sqrt(np.maximum(square, 0.0))
+        return distances
 
 
 def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray) -> FeatureConstraints:
@@ -61,7 +62,8 @@ def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray
     """
     facing = normals + [0.0, 0.0, 1.0]
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
-    rows = [_rays(scan, k, points, facing) for k in range(len(scan.frames)) if scan.features[k] is not None]
+    seen = ((k, features) for k, features in enumerate(scan.features) if features is not None)
+    rows = [_rays(scan, k, features, points, facing) for k, features in seen]
     if not rows:
         zero = np.zeros(len(points))
         return FeatureConstraints(np.zeros((len(points), 3, 3)), np.zeros_like(points), zero, zero)
@@ -77,10 +79,11 @@ def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray
     return FeatureConstraints(A, b, c, total, trust)
 
 
-def _rays(scan: FusedScan, k: int, points: np.ndarray, facing: np.ndarray):
+def _rays(
+    scan: FusedScan, k: int, features: Features2D, points: np.ndarray, facing: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of frame k: ray origins (40, 3), unit directions (40, 3) in the scan frame, weights (40,)."""
     rotation, translation = scan.poses[k][:3, :3], scan.poses[k][:3, 3]
-    features = scan.features[k]
     pixels = np.where(features.valid[:, None], features.pixels, 0.0)
     direction = scan.cameras[k].back_project(pixels, np.ones(len(pixels))) @ rotation
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -90,7 +93,7 @@ def _rays(scan: FusedScan, k: int, points: np.ndarray, facing: np.ndarray):
     return centre, direction, weight
 
 
-def _without_outliers(points, centre, across, weight) -> np.ndarray:
+def _without_outliers(points: np.ndarray, centre: np.ndarray, across: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Weights (K, 40) with the rays zeroed that lie far from where most frames see the feature."""
     offset = np.einsum("kfij,kfj->kfi", across, points - centre)
     offset = np.where(weight[..., None] > 0, offset, np.nan)
@@ -154,10 +157,12 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
     landmarks = model.landmarks
     if landmarks is None or not any(features is not None and features.face is not None for features in scan.features):
         return landmarks
-    seen = tuple(
-        None if features is None or features.face is None else Features2D(landmarks.pixels(features), landmarks.trust(pose))
-        for features, pose in zip(scan.features, scan.poses, strict=True)
-    )
+
+    def landmarks_of(features: Features2D | None, pose: np.ndarray) -> Features2D | None:
+        pixels = None if features is None else landmarks.pixels(features)
+        return None if pixels is None else Features2D(pixels, landmarks.trust(pose))
+
+    seen = tuple(landmarks_of(features, pose) for features, pose in zip(scan.features, scan.poses, strict=True))
     placed = replace(model, feature_triangles=landmarks.triangles, feature_weights=landmarks.weights)
     constraints = constraints_on(replace(scan, features=seen), placed, vertices)
     count = min(float(sum(features is not None for features in seen)), INDEPENDENT)
@@ -170,7 +175,7 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
     return replace(landmarks, offset=np.where(landmarks.held_out[:, None], landmarks.offset, offset))
 
 
-def surface_patch(triangles, vertices, start, home, limit) -> np.ndarray:
+def surface_patch(triangles: np.ndarray, vertices: np.ndarray, start: np.ndarray, home: np.ndarray, limit: float) -> np.ndarray:
     """Triangles (t, 3) connected to the ``start`` triangle within ``limit`` mm: never the other lip."""
     close = ((vertices - home) ** 2).sum(axis=1) <= limit**2
     reached = np.zeros(len(vertices), bool)

@@ -56,7 +56,9 @@ class ScanSearch:
     def __init__(self, scan: FusedScan) -> None:
         self.scan, self.tree = scan, cKDTree(scan.points)
 
-    def correspondences(self, vertices, normals, allowed, reach: float, normal_angle: float) -> ScanCorrespondences:
+    def correspondences(
+        self, vertices: np.ndarray, normals: np.ndarray, allowed: np.ndarray, reach: float, normal_angle: float
+    ) -> ScanCorrespondences:
         """Partners of the ``allowed`` (V,) vertices (V, 3) nearer than ``reach`` mm whose normals agree."""
         numbers = np.flatnonzero(allowed)
         distance, nearest = self.tree.query(vertices[numbers], distance_upper_bound=reach)
@@ -124,7 +126,16 @@ def _posed(model: FaceModel, identity: np.ndarray, pose: np.ndarray) -> tuple[np
     return vertices, vertex_normals(vertices, model.triangles)
 
 
-def _step(model, identity, pose, used, found, constraints, area, parameters) -> tuple[np.ndarray, np.ndarray]:
+def _step(
+    model: FaceModel,
+    identity: np.ndarray,
+    pose: np.ndarray,
+    used: int,
+    found: ScanCorrespondences,
+    constraints: FeatureConstraints,
+    area: np.ndarray,
+    parameters: FitParameters,
+) -> tuple[np.ndarray, np.ndarray]:
     """One Gauss-Newton step: (4, 4) motion about the head's centre, (M,) change of the coefficients."""
     modes = len(identity)
     vertices = transform_points(pose, model.neutral(identity))
@@ -153,7 +164,16 @@ def _step(model, identity, pose, used, found, constraints, area, parameters) -> 
     return step, change
 
 
-def _add_features(lhs, rhs, model, vertices, rotation, centre, constraints: FeatureConstraints, parameters) -> None:
+def _add_features(
+    lhs: np.ndarray,
+    rhs: np.ndarray,
+    model: FaceModel,
+    vertices: np.ndarray,
+    rotation: np.ndarray,
+    centre: np.ndarray,
+    constraints: FeatureConstraints,
+    parameters: FitParameters,
+) -> None:
     """Point-to-ray rows of the 2D features, added to the normal equations in place."""
     points = surface_points(vertices, model.feature_triangles, model.feature_weights)
     modes = model.identity_modes[: len(lhs) - 6, model.feature_triangles] @ rotation.T

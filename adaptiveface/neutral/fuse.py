@@ -125,7 +125,9 @@ def _readable(frames: Sequence[RgbdFrame]) -> dict[int, RgbdFrame]:
     return out
 
 
-def _first_pass(frames, feature_points, box, parameters, report) -> dict[int, Placed]:
+def _first_pass(
+    frames: dict[int, RgbdFrame], feature_points: np.ndarray, box: np.ndarray, parameters: FusionParameters, report: Progress
+) -> dict[int, Placed]:
     """Grow the surface from the most frontal frame; the registered frames by number."""
     first, pose = most_frontal(frames, feature_points)
     view = depth_view(frames[first], pose, box)
@@ -147,13 +149,20 @@ def _first_pass(frames, feature_points, box, parameters, report) -> dict[int, Pl
     return placed
 
 
-def _register(frame, last, volume, box, parameters, feature_points) -> Placed | None:
+def _register(
+    frame: RgbdFrame,
+    last: np.ndarray,
+    volume: TsdfVolume,
+    box: np.ndarray,
+    parameters: FusionParameters,
+    feature_points: np.ndarray,
+) -> Placed | None:
     """Register one frame from its neighbour's pose, and once more from its own 2D features if that fails."""
     model = _model_points(volume, parameters)
-    for attempt in (lambda: last, lambda: feature_pose(frame, feature_points)):
-        pose = attempt()
+    for again in (False, True):
+        pose = feature_pose(frame, feature_points) if again else last
         view = None if pose is None else depth_view(frame, pose, box)
-        if view is None:
+        if pose is None or view is None:
             continue
         registration = align(view, *model, pose, parameters)
         if _accepted(registration, parameters):
@@ -161,7 +170,7 @@ def _register(frame, last, volume, box, parameters, feature_points) -> Placed | 
     return None
 
 
-def _next_pass(placed: dict[int, Placed], box, parameters) -> dict[int, Placed]:
+def _next_pass(placed: dict[int, Placed], box: np.ndarray, parameters: FusionParameters) -> dict[int, Placed]:
     """Align every frame to the surface merged from all of them."""
     model = _model_points(_integrated(placed, box, parameters), parameters)
     refined = {}
@@ -176,7 +185,9 @@ def _accepted(registration: Registration, parameters: FusionParameters) -> bool:
     return registration.residual < parameters.max_residual and registration.overlap > parameters.min_overlap
 
 
-def _merged(frames, placed: dict[int, Placed], box, parameters) -> FusedScan:
+def _merged(
+    frames: dict[int, RgbdFrame], placed: dict[int, Placed], box: np.ndarray, parameters: FusionParameters
+) -> FusedScan:
     volume = _integrated(placed, box, parameters)
     points, normals, weights = volume.surface(min_weight=min(parameters.min_views, 0.5 * len(placed)))
     if len(points) < _MIN_POINTS:
@@ -196,7 +207,7 @@ def _merged(frames, placed: dict[int, Placed], box, parameters) -> FusedScan:
     )
 
 
-def _integrated(placed: dict[int, Placed], box, parameters) -> TsdfVolume:
+def _integrated(placed: dict[int, Placed], box: np.ndarray, parameters: FusionParameters) -> TsdfVolume:
     volume = _volume(box, parameters)
     for number in sorted(placed):
         volume.integrate(*placed[number], parameters.min_cosine)

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..actor import Actor
 from ..errors import TrackingError
 from ..face_model import FaceModel
 from ..frame import RgbdFrame
@@ -35,7 +36,7 @@ SAME_PERSON = (0.7, 1.4)
 #: Frames from whose features the size is measured.
 SAMPLE = 15
 #: Units per metre that depth images have in practice.
-USUAL_UNITS = (100, 1000, 2000, 4000, 5000, 8000, 10_000, 100_000)
+USUAL_UNITS = (100.0, 1000.0, 2000.0, 4000.0, 5000.0, 8000.0, 10_000.0, 100_000.0)
 _log = logging.getLogger(__name__)
 
 
@@ -46,7 +47,7 @@ class ImplausibleFaceError(TrackingError):
         super().__init__(message)
         self.size = size
 
-    def of(self, source) -> ImplausibleFaceError:
+    def of(self, source: Any) -> ImplausibleFaceError:
         """The same error, with the name of the ``source`` (or None) and what is probably wrong with its depth."""
         name = f"{source.name}: " if source is not None else ""
         return ImplausibleFaceError(f"{name}{self}{likely_unit(source, self.size)}", self.size)
@@ -96,7 +97,7 @@ def check_identity(identity: np.ndarray, size: float = 1.0) -> None:
         )
 
 
-def likely_unit(source, size: float) -> str:
+def likely_unit(source: Any, size: float) -> str:
     """What to do about a face that is ``size`` times too large in the depth of ``source``, or ""."""
     if np.isnan(size) or USUAL[0] < size < USUAL[1]:
         return ""
@@ -110,7 +111,7 @@ def likely_unit(source, size: float) -> str:
     return f"; depth_scale = {units:g} in {where} is wrong, {likely:g} is likely (or the focal length is wrong)"
 
 
-def say_doubtful_size(source, model: FaceModel, vertices: np.ndarray) -> None:
+def say_doubtful_size(source: Any, model: FaceModel, vertices: np.ndarray) -> None:
     """Warn of a head (V, 3) that few people have."""
     size, width, height = face_size(model, vertices)
     if doubt := likely_unit(source, size):
@@ -133,8 +134,9 @@ class SizeWatch:
     that it cannot be the same person, and warns where that is doubtful.
     """
 
-    def __init__(self, source, actor) -> None:
-        self._source, self._sizes = source, []
+    def __init__(self, source: Any, actor: Actor) -> None:
+        self._source = source
+        self._sizes: list[float] = []
         self._points = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)
         self._done = Abilities.of(source).colour_only
 

@@ -138,7 +138,9 @@ def _count(pairs: Pairs) -> int:
     return len(pairs.distances)
 
 
-def evaluate(view: DepthView, pose: np.ndarray, points, normals, parameters: FusionParameters) -> Registration:
+def evaluate(
+    view: DepthView, pose: np.ndarray, points: np.ndarray, normals: np.ndarray, parameters: FusionParameters
+) -> Registration:
     """How well a pose brings the model surface onto a depth view."""
     pairs = correspondences(view, points, normals, pose, parameters.prune, parameters)
     count = len(pairs.distances)
@@ -148,7 +150,9 @@ def evaluate(view: DepthView, pose: np.ndarray, points, normals, parameters: Fus
     return Registration(pose, float(np.median(np.abs(pairs.distances))), overlap, count)
 
 
-def correspondences(view: DepthView, points, normals, pose, limit: float, parameters: FusionParameters) -> Pairs:
+def correspondences(
+    view: DepthView, points: np.ndarray, normals: np.ndarray, pose: np.ndarray, limit: float, parameters: FusionParameters
+) -> Pairs:
     """Projective data association of model points, normals (n, 3) with the pixels of a view.
 
     Rejected: partners farther than ``limit`` mm, invalid or boundary pixels, and normals that disagree.
@@ -169,7 +173,8 @@ def correspondences(view: DepthView, points, normals, pose, limit: float, parame
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("nd,nd->n", a, b)
+    products: np.ndarray = np.einsum("nd,nd->n", a, b)
+    return products
 
 
 def _point_to_plane_step(pairs: Pairs, scale: float) -> tuple[np.ndarray, float]:

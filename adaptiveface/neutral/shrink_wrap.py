@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import cKDTree
 
 from ..face_model import FaceModel
 from ..mesh import adjacency, cotangent_laplacian, vertex_areas, vertex_normals
 from ..parameters import ShrinkWrapParameters
 from .deformation_graph import (
+    DeformationGraph,
     carry_matrix,
     deformation_graph,
     rest_positions,
@@ -68,20 +69,25 @@ def _residual(found: ScanCorrespondences) -> float:
     return float(np.median(np.abs(found.distances))) if len(found.distances) else float("nan")
 
 
-def _search(search: ScanSearch, model: FaceModel, vertices, parameters) -> ScanCorrespondences:
+def _search(
+    search: ScanSearch, model: FaceModel, vertices: np.ndarray, parameters: ShrinkWrapParameters
+) -> ScanCorrespondences:
     normals = vertex_normals(vertices, model.triangles)
     return search.correspondences(vertices, normals, _wrapped(model), parameters.reach, parameters.normal_angle)
 
 
 def _wrapped(model: FaceModel) -> np.ndarray:
     """(V,) bool: vertices that may meet the scan: the trusted frontal skin, and all outside the frontal region."""
-    return model.depth_valid | ~model.frontal
+    allowed: np.ndarray = model.depth_valid | ~model.frontal
+    return allowed
 
 
 # --- coarse: the deformation graph ---------------------------------------------------------------------------------
 
 
-def _coarse(scan, model, vertices, search, parameters) -> tuple[np.ndarray, list[float]]:
+def _coarse(
+    scan: FusedScan, model: FaceModel, vertices: np.ndarray, search: ScanSearch, parameters: ShrinkWrapParameters
+) -> tuple[np.ndarray, list[float]]:
     graph = deformation_graph(vertices, model.triangles, parameters.node_spacing)
     carry, rest = carry_matrix(graph, vertices)
     fixed = _fixed_terms(graph, carry, vertices, model, parameters)
@@ -122,10 +128,13 @@ class _Energy:
 
     def solve(self) -> np.ndarray:
         """Unknowns that minimise the energy added so far."""
-        return _factor(self._lhs).solve(self._rhs)
+        step: np.ndarray = _factor(self._lhs).solve(self._rhs)
+        return step
 
 
-def _fixed_terms(graph, carry, vertices, model, parameters) -> list[tuple]:
+def _fixed_terms(
+    graph: DeformationGraph, carry: sp.csr_matrix, vertices: np.ndarray, model: FaceModel, parameters: ShrinkWrapParameters
+) -> list[tuple[sp.csr_matrix, np.ndarray, float, bool]]:
     """The terms whose rows never change: (rows over the unknowns, constant, weight, relaxes with the rigidity)."""
     smooth, constant = smoothness_rows(graph)
     touch = _pair_matrix(touching_pairs(model), len(vertices))
@@ -141,7 +150,7 @@ def _relaxed(parameters: ShrinkWrapParameters, round_: int) -> float:
     return float(np.exp((1 - t) * np.log(max(parameters.rigidity_start, low)) + t * np.log(low)))
 
 
-def _add_scan(energy: _Energy, carry, found: ScanCorrespondences, area: np.ndarray) -> None:
+def _add_scan(energy: _Energy, carry: sp.csr_matrix, found: ScanCorrespondences, area: np.ndarray) -> None:
     """E_fit, point-to-plane: n.(v' - p), with Tukey's weights and the vertices' areas (not their density)."""
     count = len(found.vertices)
     index = np.repeat(np.arange(count), 3), np.arange(3 * count)
@@ -152,7 +161,14 @@ def _add_scan(energy: _Energy, carry, found: ScanCorrespondences, area: np.ndarr
     energy.add(plane @ sp.kron(carry[found.vertices], sp.identity(3), format="csr"), found.distances, weight)
 
 
-def _add_features(energy: _Energy, carry, model, current, constraints: FeatureConstraints, parameters) -> None:
+def _add_features(
+    energy: _Energy,
+    carry: sp.csr_matrix,
+    model: FaceModel,
+    current: np.ndarray,
+    constraints: FeatureConstraints,
+    parameters: ShrinkWrapParameters,
+) -> None:
     """E_fit, the 2D features: mean squared distances to the viewing rays."""
     count = len(model.feature_triangles)
     index = np.repeat(np.arange(count), 3), model.feature_triangles.ravel()
@@ -165,13 +181,14 @@ def _add_features(energy: _Energy, carry, model, current, constraints: FeatureCo
 def _to_rays(points: np.ndarray, constraints: FeatureConstraints) -> np.ndarray:
     """(120,) offsets r of the points (40, 3) with A r = A x - b: from where the rays meet best."""
     inverse = np.linalg.pinv(constraints.A, rcond=1e-6, hermitian=True)
-    return (points - np.einsum("fij,fj->fi", inverse, constraints.b)).ravel()
+    offsets: np.ndarray = (points - np.einsum("fij,fj->fi", inverse, constraints.b)).ravel()
+    return offsets
 
 
 # --- fine: displacements along the normals -------------------------------------------------------------------------
 
 
-def _detail(vertices, model: FaceModel, found: ScanCorrespondences, parameters: ShrinkWrapParameters) -> np.ndarray:
+def _detail(vertices: np.ndarray, model: FaceModel, found: ScanCorrespondences, parameters: ShrinkWrapParameters) -> np.ndarray:
     """(V, 3) displacements s_i m_i with s = argmin sum (s_i m_i.n_i + d_i)^2 + smoothness |L s|^2 + a little |s|^2.
 
     The directions m_i are smoothed normals: at lip and lid rims, where the skin rolls in, true normals would fan out
@@ -189,7 +206,8 @@ def _detail(vertices, model: FaceModel, found: ScanCorrespondences, parameters: 
     system = sp.diags(diagonal + 1e-4) + parameters.detail_smoothness * laplacian.T @ laplacian
     pairs = _pair_matrix(touching_pairs(model), n)
     system = system + parameters.contact_weight * pairs.T @ pairs
-    return _factor(system).solve(rhs)[:, None] * directions
+    displacement: np.ndarray = _factor(system).solve(rhs)[:, None] * directions
+    return displacement
 
 
 def _smoothed(normals: np.ndarray, triangles: np.ndarray, rings: int = 4) -> np.ndarray:
@@ -217,7 +235,8 @@ def touching_pairs(model: FaceModel, distance: float = 2.0) -> np.ndarray:
     near = adjacency(model.triangles, len(model.mean))
     near = near + near @ near + near @ near @ near
     joined = np.asarray(near[pairs[:, 0], pairs[:, 1]]).ravel() > 0
-    return pairs[~joined]
+    apart: np.ndarray = pairs[~joined]
+    return apart
 
 
 def _pair_matrix(pairs: np.ndarray, n: int) -> sp.csr_matrix:
@@ -227,7 +246,7 @@ def _pair_matrix(pairs: np.ndarray, n: int) -> sp.csr_matrix:
     return sp.coo_matrix((data, (np.tile(rows, 2), pairs.T.ravel())), (len(pairs), n)).tocsr()
 
 
-def _factor(matrix: sp.spmatrix):
+def _factor(matrix: sp.spmatrix) -> SuperLU:
     """Factorisation of a symmetric positive definite matrix."""
     options = {"SymmetricMode": True}
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from ..frame import RgbdFrame
-from .choice import LOOK, choose, costs, doubts, judge, leading_is_calm
+from ..frame import Features2D, RgbdFrame
+from .choice import LOOK, Judged, choose, costs, doubts, judge, leading_is_calm
 
 #: A face counts as found in a frame from this many valid features on.
 MIN_FEATURES = 6
 #: How to name the frames.
 WAY_OUT = "--neutral-frames 100:140 takes these frames"
 Step = Callable[[], object]
+
+
+class Reader(Protocol):
+    """What reads the frames: a :class:`~adaptiveface.pipeline.FrameReader`."""
+
+    @property
+    def source(self) -> Sized:
+        """The frames, broken ones included."""
+
+    def read(self, index: int) -> RgbdFrame | None:
+        """Frame ``index`` with its features; None for one that cannot be used."""
+
+    def again(self, index: int, features: Features2D) -> RgbdFrame:
+        """Frame ``index``, which was read before, with the ``features`` that it had."""
 
 
 def face_found(frame: RgbdFrame) -> bool:
@@ -32,7 +47,9 @@ class NeutralTake:
     leading: bool = False
 
 
-def neutral_of(reader, wanted: int | range | None, points: np.ndarray, most: int, step: Step = lambda: None) -> NeutralTake:
+def neutral_of(
+    reader: Reader, wanted: int | range | None, points: np.ndarray, most: int, step: Step = lambda: None
+) -> NeutralTake:
     """The neutral frames that ``reader`` (a :class:`~adaptiveface.pipeline.FrameReader`) finds in its source.
 
     ``wanted``: how many of the leading ones with a face, these very ones (a range), or None for all, at most ``most``
@@ -49,7 +66,7 @@ def neutral_of(reader, wanted: int | range | None, points: np.ndarray, most: int
     return NeutralTake(faces, f"the neutral frames are doubtful: of {len(faces)}, {trouble}" if trouble else "")
 
 
-def _read(reader, numbers: Sequence[int], step: Step) -> list[RgbdFrame]:
+def _read(reader: Reader, numbers: Sequence[int], step: Step) -> list[RgbdFrame]:
     frames = []
     for index in numbers:
         frame = reader.read(index)
@@ -59,16 +76,18 @@ def _read(reader, numbers: Sequence[int], step: Step) -> list[RgbdFrame]:
     return frames
 
 
-def _leading(reader, count: int, points: np.ndarray, step: Step) -> NeutralTake:
+def _leading(reader: Reader, count: int, points: np.ndarray, step: Step) -> NeutralTake:
     """``count`` frames: the first ones with a face, or calmer ones among the first ``LOOK``. Only the former are kept."""
-    kept, found, judged = [], [], []
+    kept: list[RgbdFrame] = []
+    found: list[tuple[int, Features2D]] = []
+    judged: list[Judged | None] = []
     for index in range(len(reader.source)):
         if len(found) >= max(count, LOOK) or (len(found) >= count and index > found[count - 1][0] + 2 * LOOK):
             break
         frame = reader.read(index)
         if frame is None or not face_found(frame):
             continue
-        found.append((index, frame.features))
+        found.append((index, frame.seen))
         judged.append(judge(frame, points))
         if len(found) <= count:
             kept.append(frame)

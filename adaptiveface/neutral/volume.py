@@ -51,7 +51,22 @@ class TsdfVolume:
 
 
 @compiled
-def _integrate(distance, weight, origin, voxel, truncation, pose, points, normals, valid, fx, fy, cx, cy, min_cosine):
+def _integrate(
+    distance: np.ndarray,
+    weight: np.ndarray,
+    origin: np.ndarray,
+    voxel: float,
+    truncation: float,
+    pose: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    valid: np.ndarray,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    min_cosine: float,
+) -> None:
     # Serial: parallel loops stalled on shared cores. The distance is measured to the tangent plane, not along the
     # ray: on slanted skin a ray overestimates it, and the nearest pixel is up to half a pixel off.
     height, width = valid.shape
@@ -87,7 +102,7 @@ def _integrate(distance, weight, origin, voxel, truncation, pose, points, normal
 
 
 @compiled
-def _zero_crossings(distance, weight, min_weight, out):
+def _zero_crossings(distance: np.ndarray, weight: np.ndarray, min_weight: float | np.float32, out: np.ndarray) -> int:
     nx, ny, nz = distance.shape
     count = 0
     gradient = np.empty((2, 3))
@@ -126,7 +141,9 @@ def _zero_crossings(distance, weight, min_weight, out):
 
 
 @compiled
-def _gradient(distance, weight, min_weight, i, j, k, out):
+def _gradient(
+    distance: np.ndarray, weight: np.ndarray, min_weight: float | np.float32, i: int, j: int, k: int, out: np.ndarray
+) -> bool:
     """Central differences; False at the rim of the data, where a normal would be invented."""
     if (
         weight[i - 1, j, k] <= min_weight

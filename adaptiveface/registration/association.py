@@ -6,7 +6,7 @@ follow from the smoothed depth and its gradient at that pixel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,21 +16,21 @@ from .surface import DepthSurface
 
 @compiled
 def _associate(
-    points,
-    normals,
-    pose,
-    depth,
-    gradient_u,
-    gradient_v,
-    valid,
-    intrinsics,
-    reach,
-    min_cosine,
-    min_view,
-    out,
-    distance,
-    plane,
-):
+    points: np.ndarray,
+    normals: np.ndarray,
+    pose: np.ndarray,
+    depth: np.ndarray,
+    gradient_u: np.ndarray,
+    gradient_v: np.ndarray,
+    valid: np.ndarray,
+    intrinsics: tuple[float, ...],
+    reach: float,
+    min_cosine: float,
+    min_view: float,
+    out: np.ndarray,
+    distance: np.ndarray,
+    plane: np.ndarray,
+) -> np.ndarray:
     """Put the points into the camera frame; point-to-plane distance, normal and weight of each (weight 0: no match)."""
     fx, fy, cx, cy, u0, v0 = intrinsics
     h, w = depth.shape
@@ -76,13 +76,13 @@ def _associate(
 class Correspondences:
     """Point-to-plane matches of n points, in the camera frame.
 
-    distances (n,) mm, n_i^T (v_i - p_i); normals (n, 3); weights (n,), 0 = no match; points (n, 3) mm: the v_i, where known.
+    distances (n,) mm, n_i^T (v_i - p_i); normals (n, 3); weights (n,), 0 = no match; points (n, 3) mm: the v_i.
     """
 
     distances: np.ndarray
     normals: np.ndarray
     weights: np.ndarray
-    points: np.ndarray | None = None
+    points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def count(self) -> int:

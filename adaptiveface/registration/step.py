@@ -32,7 +32,9 @@ def apply_rigid_update(pose: np.ndarray, update: np.ndarray, centre: np.ndarray)
 
 
 @compiled
-def _point_to_plane_equations(points, normals, distances, weights, centre):
+def _point_to_plane_equations(
+    points: np.ndarray, normals: np.ndarray, distances: np.ndarray, weights: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations of :func:`rigid_jacobian` without storing it (tested equal to the NumPy form)."""
     h, g, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     for i in range(len(points)):

@@ -46,7 +46,9 @@ def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
-def depth_surface(depth: np.ndarray, camera: Camera, window, parameters: DepthParameters) -> DepthSurface:
+def depth_surface(
+    depth: np.ndarray, camera: Camera, window: tuple[int, int, int, int], parameters: DepthParameters
+) -> DepthSurface:
     """Crop and smooth a depth map (H, W) mm; see :class:`DepthSurface`.
 
     Normalised convolution: missing pixels neither pull the mean towards zero nor leave a rim. Pixels at a depth edge are

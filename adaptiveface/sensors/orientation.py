@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ..camera import Camera
 from ..frame import FEATURE_IDS, Features2D, RgbdFrame
 from .numbered import Abilities, NumberedFrames
 
+AnyFrame = TypeVar("AnyFrame", bound=RgbdFrame)
 #: What ends the name of a source whose pictures are mirrored, as selfie videos are.
 MIRRORED = ",mirrored"
 #: iBUG-68 numbers that change places in a mirror, region by region: brows, eyes, outer lips, inner lips.
@@ -35,7 +37,7 @@ def split_mirrored(text: str) -> tuple[str, bool]:
     return text, False
 
 
-def mirrored(frame: RgbdFrame) -> RgbdFrame:
+def mirrored(frame: AnyFrame) -> AnyFrame:
     """``frame`` flipped left to right; what was the left eye in its features is the right one. Keeps the frame's class."""
     camera, features = frame.camera, frame.features
     if features is not None:
@@ -52,7 +54,7 @@ def mirrored(frame: RgbdFrame) -> RgbdFrame:
     )
 
 
-def turned(frame: RgbdFrame, quarters: int) -> RgbdFrame:
+def turned(frame: AnyFrame, quarters: int) -> AnyFrame:
     """``frame`` turned anticlockwise by ``quarters`` of a full turn. Keeps the frame's class."""
     if quarters % 4 == 0:
         return frame

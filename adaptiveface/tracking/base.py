@@ -144,8 +144,10 @@ class Tracker(ABC):
     def _filtered(self, measured: np.ndarray) -> np.ndarray:
         """The coefficients (A,) of this frame: filtered over time, within their bounds (section 4.2)."""
         limits = self.parameters.blendshapes
-        self.state = replace(self.state, filter=self.kalman.step(self.state.filter, measured))
-        return np.clip(self.state.filter.coefficients, limits.lower, limits.upper)
+        filtered = self.kalman.step(self.state.filter, measured)
+        self.state = replace(self.state, filter=filtered)
+        coefficients: np.ndarray = np.clip(filtered.coefficients, limits.lower, limits.upper)
+        return coefficients
 
     def _deform_to_features(self, frame: RgbdFrame, pose: np.ndarray, mesh: np.ndarray) -> np.ndarray:
         """``mesh`` (N, 3) deformed to the features alone (section 4.4), head frame, mm."""

@@ -13,7 +13,17 @@ BoundedSolver = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.nda
 
 
 @compiled
-def _sparse_relaxation(h, g, penalty, lower, upper, x, relaxation, sweeps, tolerance):
+def _sparse_relaxation(
+    h: np.ndarray,
+    g: np.ndarray,
+    penalty: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    x: np.ndarray,
+    relaxation: float,
+    sweeps: int,
+    tolerance: float,
+) -> int:
     for sweep in range(sweeps):
         change = 0.0
         for i in range(len(x)):
@@ -34,7 +44,16 @@ def _sparse_relaxation(h, g, penalty, lower, upper, x, relaxation, sweeps, toler
 
 
 @compiled
-def _projected_relaxation(h, g, lower, upper, x, relaxation, sweeps, tolerance):
+def _projected_relaxation(
+    h: np.ndarray,
+    g: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    x: np.ndarray,
+    relaxation: float,
+    sweeps: int,
+    tolerance: float,
+) -> int:
     for sweep in range(sweeps):
         change = 0.0
         for i in range(len(x)):
@@ -67,7 +86,7 @@ def bounded_least_squares(
     quadratic programs in the family of Sugimoto et al. 1995 (theirs updates in parallel, ours in sequence). Clipping the
     unbounded solution instead is wrong whenever coefficients interact: the others must make up for a clipped one.
     """
-    x = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
+    x: np.ndarray = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
     _projected_relaxation(np.ascontiguousarray(h), g, lower, upper, x, relaxation, sweeps, tolerance)
     return x
 
@@ -88,6 +107,6 @@ def sparse_least_squares(
     As :func:`bounded_least_squares`, with ``penalty`` (A,) >= 0; each update of the relaxation is soft-thresholded on
     both sides of zero (coordinate descent, Friedman et al. 2007).
     """
-    x = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
+    x: np.ndarray = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
     _sparse_relaxation(np.ascontiguousarray(h), g, penalty, lower, upper, x, relaxation, sweeps, tolerance)
     return x

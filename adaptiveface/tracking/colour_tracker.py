@@ -111,7 +111,8 @@ class ColourTracker(Tracker):
         frame = at_reference_focal(frame)
         if self.landmarks is None:
             return frame
-        features, landmarks, forty = frame.features, self.landmarks, len(frame.features.confidence)
+        features, landmarks = frame.seen, self.landmarks
+        forty = len(features.confidence)
         pixels, trust, own = np.full((len(landmarks), 2), np.nan), np.zeros(len(landmarks)), features.confidence
         if features.face is not None:
             points = self.blendshapes.feature_points(self.state.coefficients)[:forty]
@@ -135,7 +136,7 @@ class ColourTracker(Tracker):
         points = transform_points(pose, self.blendshapes.feature_points(x))
         if (points[:, 2] < 1.0).any():
             return np.inf
-        return float(np.median(reprojection_errors(frame.features, frame.camera, points)))
+        return float(np.median(reprojection_errors(frame.seen, frame.camera, points)))
 
     def _lose(self, frame: RgbdFrame, ms: dict[str, float], reason: str) -> TrackedFrame:
         self.forget()
@@ -156,11 +157,11 @@ def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
     scale = REFERENCE_FOCAL / camera.fx
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     scaled = Camera(*size, camera.fx * scale, camera.fy * scale, camera.cx * scale, camera.cy * scale)
-    alone = np.minimum(ALONE * frame.features.confidence, 1.0)
-    face = frame.features.face
+    seen = frame.seen
+    alone, face = np.minimum(ALONE * seen.confidence, 1.0), seen.face
     if face is not None:
         face = replace(face, mesh=face.mesh * scale)
-    features = Features2D(frame.features.pixels * scale, TRUST * alone, face)
+    features = Features2D(seen.pixels * scale, TRUST * alone, face)
     return replace(frame, depth=np.zeros((1, 1), np.float32), camera=scaled, features=features)
 
 

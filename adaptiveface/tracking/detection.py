@@ -17,8 +17,9 @@ def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.nda
     """Features with depth: (indices into the 40, points (f, 3) camera frame mm); depth is the median around the pixel."""
     indices, points = [], []
     height, width = frame.depth.shape
-    for index in np.flatnonzero(frame.features.valid):
-        u, v = frame.features.pixels[index]
+    features = frame.seen
+    for index in np.flatnonzero(features.valid):
+        u, v = features.pixels[index]
         iu, iv = int(round(u)), int(round(v))
         if not (0 <= iu < width and 0 <= iv < height):
             continue

@@ -49,7 +49,9 @@ def add_rows(
 
 
 @compiled
-def _depth_jacobian(points, normals, turned, weights, basis, centre):
+def _depth_jacobian(
+    points: np.ndarray, normals: np.ndarray, turned: np.ndarray, weights: np.ndarray, basis: np.ndarray, centre: np.ndarray
+) -> np.ndarray:
     """(m, 6 + A) rows of the matched points: (v - c) x n, n, and the turned normal times the blendshapes (eq. 1)."""
     count, a = 0, basis.shape[2]
     for i in range(len(points)):
@@ -133,11 +135,13 @@ class BlendshapeFit:
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """v1 = b0 + B x, (N, 3) in the head frame."""
-        return self.neutral + (x.astype(np.float32) @ self._flat).reshape(-1, 3)
+        mesh: np.ndarray = self.neutral + (x.astype(np.float32) @ self._flat).reshape(-1, 3)
+        return mesh
 
     def feature_points(self, x: np.ndarray) -> np.ndarray:
         """(40, 3) head-frame points of the features at coefficients x."""
-        return self._f0 + self._f @ x
+        points: np.ndarray = self._f0 + self._f @ x
+        return points
 
     def fit(
         self,
@@ -168,12 +172,21 @@ class BlendshapeFit:
                 pose = apply_rigid_update(pose, update_for(x), centre)
         return pose, x
 
-    def _assemble(self, surface, features, camera, pose, x, previous, normals) -> tuple[NormalEquations, np.ndarray]:
+    def _assemble(
+        self,
+        surface: DepthSurface | None,
+        features: Features2D | None,
+        camera: Camera,
+        pose: np.ndarray,
+        x: np.ndarray,
+        previous: np.ndarray,
+        normals: np.ndarray | None,
+    ) -> tuple[NormalEquations, np.ndarray]:
         p, count = self.parameters, len(x)
         equations = NormalEquations(np.zeros((6 + count, 6 + count)), np.zeros(6 + count))
         current = np.concatenate([np.zeros(6), x])
         centre = transform_points(pose, self._middle)
-        if surface is not None:
+        if surface is not None and normals is not None:
             self._add_depth(equations, surface, pose, x, normals, centre, current)
         rows = feature_rows(features, camera, pose)
         if len(rows.index):
@@ -190,7 +203,16 @@ class BlendshapeFit:
         equations.g[6:] += p.temporal * previous
         return equations, centre
 
-    def _add_depth(self, equations: NormalEquations, surface, pose, x, normals, centre, current) -> None:
+    def _add_depth(
+        self,
+        equations: NormalEquations,
+        surface: DepthSurface,
+        pose: np.ndarray,
+        x: np.ndarray,
+        normals: np.ndarray,
+        centre: np.ndarray,
+        current: np.ndarray,
+    ) -> None:
         """Equation (1)'s rows of the vertices that find a partner in the depth map, added in place."""
         p = self.parameters
         shape = self._b0 + (self._b_flat @ x.astype(np.float32)).reshape(-1, 3)
@@ -206,7 +228,7 @@ class BlendshapeFit:
         weights = p.every * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
         self.add_rows(equations, jacobian, distances, weights, current)
 
-    def solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable]:
+    def solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
         """Eliminate the unbounded pose update (Schur complement) and solve the bounded coefficients.
 
         Returns them (A,), and the function that substitutes coefficients back: the pose update (6,) that fits them best.

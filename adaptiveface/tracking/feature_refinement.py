@@ -46,8 +46,10 @@ class FeatureRefinement:
     """Refines the detected features of one actor, who has an ``appearance``."""
 
     def __init__(self, actor: Actor, parameters: RefinementParameters) -> None:
+        if actor.appearance is None:
+            raise ValueError("the appearance of the actor's neutral is not known")
         self.actor, self.parameters = actor, parameters
-        look = actor.appearance
+        self._look = look = actor.appearance
         self._starts = np.searchsorted(look.feature, np.arange(len(actor.feature_triangles) + 1))
         homes = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)
         away = np.linalg.norm(surface_points(actor.neutral, look.triangles, look.weights) - homes[look.feature], axis=1)
@@ -61,14 +63,16 @@ class FeatureRefinement:
         mesh (N, 3): the head as it was last, in its own frame; pose (4, 4) head to camera; ``follow`` bends it to the
         features of the coarse pass, before the fine one.
         """
-        found = frame.features
+        found, colour = frame.seen, frame.colour
+        if colour is None:
+            return found
         seen = np.flatnonzero(found.valid)
         depth = float(transform_points(pose, self.actor.neutral[self.actor.feature_vertices])[:, 2].mean())
         scale = frame.camera.fx / depth  # px per mm
         border = int(self.parameters.radius * scale) + _BORDER
         u, v = np.maximum(found.bounding_box[:2].astype(int) - border, 0)
         right, bottom = np.maximum(found.bounding_box[2:].astype(int) + border, 0)
-        picture, corner = frame.colour[v:bottom, u:right], np.array([u, v], float)
+        picture, corner = colour[v:bottom, u:right], np.array([u, v], float)
         if min(picture.shape[:2]) < border:  # the face has left the picture
             return found
         covariance = self._covariance[np.ix_(seen, seen)] * scale**2
@@ -85,18 +89,26 @@ class FeatureRefinement:
         confidence[seen] = np.minimum(confidence[seen] * gained, 1.0)
         return Features2D(pixels, confidence)
 
-    def _patches(self, mesh, pose, camera: Camera, corner: np.ndarray, level: int) -> _Patches:
+    def _patches(self, mesh: np.ndarray, pose: np.ndarray, camera: Camera, corner: np.ndarray, level: int) -> _Patches:
         """The samples as the mesh carries them, in pixels of the cut-out picture."""
-        look, actor = self.actor.appearance, self.actor
+        look, actor = self._look, self.actor
         mesh = transform_points(pose, mesh)
         points, weights = _carry(mesh, look.triangles, look.weights, self._nearness, self._area, camera.fx)
         homes = camera.project(surface_points(mesh, actor.feature_triangles, actor.feature_weights))
         return _Patches(homes, camera.project(points) - corner, weights, look.colours[level], self._starts)
 
-    def _shift(self, patches, picture, found, features, precision, seen) -> tuple[np.ndarray, np.ndarray]:
+    def _shift(
+        self,
+        patches: _Patches,
+        picture: np.ndarray,
+        found: Features2D,
+        features: Features2D,
+        precision: np.ndarray,
+        seen: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (40, 2) of the features after the rounds, and the variance (n,) px^2 that is left of each one seen."""
-        gradients = (cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1)))
-        images = (picture, *gradients)
+        along_u, along_v = (cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1)))
+        images = (picture, along_u, along_v)
         homes, p = patches.homes[seen], self.parameters
         start, detected = features.pixels[seen] - homes, found.pixels[seen] - homes
         shift, variance = align_patches(
@@ -110,7 +122,9 @@ class FeatureRefinement:
 class _Patches:
     """The samples of all features in one frame: ``arrays`` for the kernel, ``homes`` (40, 2) px of the features."""
 
-    def __init__(self, homes, pixels, weights, colours, starts) -> None:
+    def __init__(
+        self, homes: np.ndarray, pixels: np.ndarray, weights: np.ndarray, colours: np.ndarray, starts: np.ndarray
+    ) -> None:
         self.homes, self.arrays = homes, (pixels, weights, colours, starts)
 
 
@@ -118,7 +132,8 @@ def _areas(vertices: np.ndarray, triangles: np.ndarray, feature: np.ndarray) -> 
     """(Q,) mm^2 of skin that each sample stands for: its triangle's, shared by the samples of its feature there."""
     _, which, count = np.unique(np.column_stack([triangles, feature]), axis=0, return_inverse=True, return_counts=True)
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) / count[which.ravel()]
+    areas: np.ndarray = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) / count[which.ravel()]
+    return areas
 
 
 def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndarray:
@@ -132,11 +147,14 @@ def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndar
     places = surface_points(shape, actor.feature_triangles, actor.feature_weights)
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     alike = np.exp(-0.5 * (distance / parameters.alike) ** 2) * (FEATURE_REGIONS[:, None] == FEATURE_REGIONS)
-    return parameters.deviation**2 * ((1.0 - OWN_SHARE) * alike + OWN_SHARE * np.eye(len(places)))
+    covariance: np.ndarray = parameters.deviation**2 * ((1.0 - OWN_SHARE) * alike + OWN_SHARE * np.eye(len(places)))
+    return covariance
 
 
 @compiled(nogil=True)
-def _carry(mesh, triangles, corners, nearness, area, focal):
+def _carry(
+    mesh: np.ndarray, triangles: np.ndarray, corners: np.ndarray, nearness: np.ndarray, area: np.ndarray, focal: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Samples on a mesh (N, 3) in the camera frame: points (Q, 3), and by how much each of them counts (Q,).
 
     Less where the skin turns away; and at most as the independent pixels that it stands for.

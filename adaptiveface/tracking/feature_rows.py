@@ -39,4 +39,5 @@ def feature_rows(features: Features2D | None, camera: Camera, pose: np.ndarray) 
 def reprojection_errors(features: Features2D, camera: Camera, points: np.ndarray) -> np.ndarray:
     """(f,) pixel distances between the seen features and their points (40, 3), camera frame mm."""
     seen = features.valid
-    return np.linalg.norm(camera.project(points[seen]) - features.pixels[seen], axis=1)
+    errors: np.ndarray = np.linalg.norm(camera.project(points[seen]) - features.pixels[seen], axis=1)
+    return errors

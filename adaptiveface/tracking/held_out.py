@@ -9,6 +9,7 @@ import numpy as np
 
 from ..actor import Actor
 from ..camera import Camera
+from ..feature_set import FeatureSet
 from ..frame import DetectedFace
 from ..mesh import transform_points
 
@@ -23,10 +24,10 @@ class HeldOut:
 
     def __init__(self, actor: Actor) -> None:
         landmarks = actor.landmarks
-        held = None if landmarks is None else landmarks.select(landmarks.held_out)
-        self._landmarks = held if held is not None and len(held) and set(np.ravel(EYES)) <= set(landmarks.ids) else None
+        self._landmarks: FeatureSet | None = None
         self.regions: tuple[str, ...] = ()
-        if self._landmarks is not None:
+        if landmarks is not None and landmarks.held_out.any() and set(np.ravel(EYES)) <= set(landmarks.ids):
+            self._landmarks = held = landmarks.select(landmarks.held_out)
             self.regions = tuple(dict.fromkeys(str(region) for region in held.regions))
             points = dict(zip(landmarks.ids.tolist(), landmarks.points(actor.neutral), strict=True))
             right, left = (np.mean([points[number] for number in eye], axis=0) for eye in EYES)

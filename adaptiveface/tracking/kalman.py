@@ -27,7 +27,8 @@ class FilterState:
     @property
     def coefficients(self) -> np.ndarray:
         """(A,) the filtered coefficients."""
-        return self.mean[0]
+        first: np.ndarray = self.mean[0]
+        return first
 
 
 class CoefficientFilter:

@@ -30,6 +30,8 @@ from ..mesh import cotangent_laplacian
 from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
 
+#: Row numbers (m,) and directions (m, 3) of the features' rows, and the factor of their Woodbury system; None without rows.
+Correction = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, bool] | None]
 #: L (N, N) of a mesh: ``laplacian(vertices (N, 3), triangles (T, 3))``.
 LaplacianOperator = Callable[[np.ndarray, np.ndarray], sp.spmatrix]
 
@@ -92,7 +94,9 @@ class PrefactoredSystem:
 
 
 @compiled
-def _solve_three(starts, rows, values, inverse_diagonal, order, right):
+def _solve_three(
+    starts: np.ndarray, rows: np.ndarray, values: np.ndarray, inverse_diagonal: np.ndarray, order: np.ndarray, right: np.ndarray
+) -> np.ndarray:
     """P^T G^-T D^-1 G^-1 P b for b (n, 3): the three coordinates share one pass over the factor (SuperLU makes three)."""
     n = len(inverse_diagonal)
     y = np.empty((n, 3))
@@ -199,9 +203,10 @@ class LaplacianDeformation:
 
     def _at_features(self, field: np.ndarray, index: np.ndarray) -> np.ndarray:
         """A field (n, 3) at the features' points: (f, 3)."""
-        return np.einsum("fk,fkd->fd", self.shares[index], field[self.corners[index]])
+        values: np.ndarray = np.einsum("fk,fkd->fd", self.shares[index], field[self.corners[index]])
+        return values
 
-    def _feature_correction(self, term: FeatureTerm):
+    def _feature_correction(self, term: FeatureTerm) -> Correction:
         """The Woodbury system of the features' rows: (A0 + H^T W H)^-1 = A0^-1 - A0^-1 H^T (W^-1 + H A0^-1 H^T)^-1 H A0^-1."""
         count = term.rows.shape[1]
         index, rows = np.repeat(term.index, count), term.rows.reshape(-1, 3)
@@ -233,7 +238,8 @@ class LaplacianDeformation:
         if len(rows) == 0:
             return without
         missing = term.targets.ravel() - (rows * self._at_features(without, index)).sum(axis=1)
-        return without + self._spread(index, rows * cho_solve(factor, missing, check_finite=False)[:, None])
+        displacement: np.ndarray = without + self._spread(index, rows * cho_solve(factor, missing, check_finite=False)[:, None])
+        return displacement
 
     def deform(
         self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm, start: np.ndarray, steps: int
@@ -262,7 +268,7 @@ class LaplacianDeformation:
 
     def right_hand_side(self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """b (n, 3) of the normal equations A d = b: depth pulls along ``normals`` (n, 3), features pull at their corners."""
-        right = -(self.w1 * matches.weights * matches.distances)[:, None] * normals
+        right: np.ndarray = -(self.w1 * matches.weights * matches.distances)[:, None] * normals
         self._add_pull(right, term, term.targets)
         return right
 
@@ -274,14 +280,15 @@ class LaplacianDeformation:
     def _apply(self, d: np.ndarray, strength: np.ndarray, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """The true system's matrix times a displacement (n, 3)."""
         along = strength * np.einsum("nd,nd->n", normals, d)
-        image = self.system.smoothing @ d + along[:, None] * normals
+        image: np.ndarray = self.system.smoothing @ d + along[:, None] * normals
         self._add_pull(image, term, np.einsum("frd,fd->fr", term.rows, self._at_features(d, term.index)))
         return image
 
-    def _precondition(self, right: np.ndarray, correction) -> np.ndarray:
+    def _precondition(self, right: np.ndarray, correction: Correction) -> np.ndarray:
         index, rows, factor = correction
         solved = self.system.precondition(right)
         if len(rows) == 0:
             return solved
         at_rows = (rows * self._at_features(solved, index)).sum(axis=1)
-        return solved - self._spread(index, rows * cho_solve(factor, at_rows, check_finite=False)[:, None])
+        direction: np.ndarray = solved - self._spread(index, rows * cho_solve(factor, at_rows, check_finite=False)[:, None])
+        return direction

@@ -17,7 +17,19 @@ _LONGEST = 1.5
 
 
 @compiled(nogil=True)
-def align_patches(images, pixels, weights, colours, starts, seen, shift, detected, precision, rounds, floor):
+def align_patches(
+    images: tuple[np.ndarray, np.ndarray, np.ndarray],
+    pixels: np.ndarray,
+    weights: np.ndarray,
+    colours: np.ndarray,
+    starts: np.ndarray,
+    seen: np.ndarray,
+    shift: np.ndarray,
+    detected: np.ndarray,
+    precision: np.ndarray,
+    rounds: int,
+    floor: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Gauss-Newton: shifts (n, 2) px of the patches ``seen`` (n,), and the variance (n,) px^2 that is left of each.
 
     images, three (H, W, 3) float32: the picture's channels, their gradients along u, and along v. Samples of patch f
@@ -58,7 +70,15 @@ def align_patches(images, pixels, weights, colours, starts, seen, shift, detecte
 
 
 @compiled(nogil=True)
-def _normal_equations(images, pixels, weights, colours, shift, light, floor):
+def _normal_equations(
+    images: tuple[np.ndarray, np.ndarray, np.ndarray],
+    pixels: np.ndarray,
+    weights: np.ndarray,
+    colours: np.ndarray,
+    shift: np.ndarray,
+    light: np.ndarray,
+    floor: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """H (4, 4) and g (4,) of one patch in (shift u, shift v, gain, offset), samples with Cauchy's weights.
 
     A channel's scale is its weighted mean square residual in the patch, at least ``floor``. Only the brightness has a gain
@@ -118,7 +138,7 @@ def _normal_equations(images, pixels, weights, colours, shift, light, floor):
 
 
 @compiled(nogil=True)
-def _eliminate_light(h, g, light, gains, rests):
+def _eliminate_light(h: np.ndarray, g: np.ndarray, light: np.ndarray, gains: np.ndarray, rests: np.ndarray) -> None:
     """Reduce H and g to the shift, in place; gain and offset, with their priors, follow as ``rests - gains @ step``."""
     prior_gain, prior_offset = GAIN**-2, OFFSET**-2
     h_gain, h_offset, h_both = h[2, 2] + prior_gain, h[3, 3] + prior_offset, h[2, 3]

@@ -49,7 +49,8 @@ def offsets_at_features(matches: Correspondences, pose: np.ndarray, corners: np.
     """
     offsets = depth_offsets(matches, pose, np.zeros_like(matches.points))
     seen = (matches.weights[corners] > 0).all(axis=1)
-    return np.einsum("fk,fkd->fd", shares * seen[:, None], offsets[corners])
+    at_features: np.ndarray = np.einsum("fk,fkd->fd", shares * seen[:, None], offsets[corners])
+    return at_features
 
 
 def weak_projection(u: np.ndarray) -> np.ndarray:

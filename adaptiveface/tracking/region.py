@@ -38,7 +38,8 @@ class FrontalRegion:
 
     def displacement(self, mesh: np.ndarray) -> np.ndarray:
         """(3n,) displacement of the region of a ``mesh`` (N, 3) from the neutral, mm."""
-        return (mesh[self.vertices] - self.neutral).ravel()
+        moved: np.ndarray = (mesh[self.vertices] - self.neutral).ravel()
+        return moved
 
     def displaced(self, mesh: np.ndarray, deformation: np.ndarray) -> np.ndarray:
         """A copy of ``mesh`` (N, 3) whose region is moved by ``deformation`` (n, 3), mm."""

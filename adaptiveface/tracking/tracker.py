@@ -58,7 +58,7 @@ class FaceTracker(Tracker):
         with timed(ms, "preprocess"):
             normals = self.region.normals(last.v1)
         rigid, surface = self._find_head(frame, normals, ms)
-        if rigid is None:
+        if rigid is None or surface is None:
             self.forget()
             return self.untracked(frame, why_lost(frame, self.blendshapes.feature_points(self.state.coefficients)), ms)
         face = None if frame.features is None else frame.features.face  # refined features come without it
@@ -108,14 +108,16 @@ class FaceTracker(Tracker):
         )
 
     # ---- section 4.1 -----------------------------------------------------------------------------------------------
-    def _find_head(self, frame: RgbdFrame, normals: np.ndarray, ms) -> tuple[RigidFit | None, DepthSurface | None]:
+    def _find_head(
+        self, frame: RgbdFrame, normals: np.ndarray, ms: dict[str, float]
+    ) -> tuple[RigidFit | None, DepthSurface | None]:
         """Rigid ICP from the last pose, or from the 2D features where that fails or disagrees with them."""
         best: tuple[RigidFit | None, DepthSurface | None] = (None, None)
-        for propose in (lambda: self.state.pose, lambda: self._detect(frame)):
+        for again in (False, True):
             with timed(ms, "preprocess"):
-                start = propose()
+                start = self._detect(frame) if again else self.state.pose
                 surface = None if start is None else self._crop(frame, start)
-            if surface is None:
+            if start is None or surface is None:
                 continue
             with timed(ms, "rigid"):
                 mesh = self.state.v4 if self.parameters.rigid.shape == "output" else self.state.v1
@@ -162,7 +164,9 @@ class FaceTracker(Tracker):
         return replace(frame, features=self.refinement.refine(frame, self.state.v4, pose, follow))
 
     # ---- sections 4.3, 4.4 and 5 -----------------------------------------------------------------------------------
-    def _deform_to_depth(self, surface, frame, pose, v1, normals) -> tuple[np.ndarray, float, float]:
+    def _deform_to_depth(
+        self, surface: DepthSurface, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, normals: np.ndarray
+    ) -> tuple[np.ndarray, float, float]:
         """Displacement (n, 3); shares of the vertices that have depth, and that something in front of them hides."""
         p = self.parameters.laplacian
         matches = find_correspondences(surface, v1[self.region.vertices], normals, p.prune, pose)
