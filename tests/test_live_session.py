@@ -16,6 +16,7 @@ from adaptiveface.errors import FeatureDetectionError, RecordingError, SensorDis
 from adaptiveface.live import FeatureFeed, LiveSession
 from adaptiveface.parameters import Parameters
 from adaptiveface.sensors.live import LiveSensor
+from adaptiveface.tracking.tracker import FaceTracker
 
 
 @lru_cache(maxsize=1)
@@ -175,7 +176,7 @@ def test_a_bare_exception_of_a_callback_nobody_asked_for_is_raised_on_closing():
 def test_a_frame_that_breaks_the_tracker_is_lost_alone_and_a_tracker_that_stays_broken_ends_the_session(monkeypatch):
     calls = []
 
-    def track(self, frame, real=LiveSession._track.__globals__["FaceTracker"].track):
+    def track(self, frame, real=FaceTracker.track):
         calls.append(frame.index)
         if frame.index == 5:
             raise np.linalg.LinAlgError("singular matrix")
