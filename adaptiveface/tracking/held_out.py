@@ -9,7 +9,6 @@ import numpy as np
 
 from ..actor import Actor
 from ..camera import Camera
-from ..feature_set import FeatureSet
 from ..frame import DetectedFace
 from ..mesh import transform_points
 
@@ -24,10 +23,10 @@ class HeldOut:
 
     def __init__(self, actor: Actor) -> None:
         landmarks = actor.landmarks
-        self._landmarks: FeatureSet | None = None
+        known = landmarks is not None and landmarks.held_out.any() and set(np.ravel(EYES)) <= set(landmarks.ids)
+        self._landmarks = held = landmarks.select(landmarks.held_out) if landmarks is not None and known else None
         self.regions: tuple[str, ...] = ()
-        if landmarks is not None and landmarks.held_out.any() and set(np.ravel(EYES)) <= set(landmarks.ids):
-            self._landmarks = held = landmarks.select(landmarks.held_out)
+        if landmarks is not None and held is not None:
             self.regions = tuple(dict.fromkeys(str(region) for region in held.regions))
             points = dict(zip(landmarks.ids.tolist(), landmarks.points(actor.neutral), strict=True))
             right, left = (np.mean([points[number] for number in eye], axis=0) for eye in EYES)
