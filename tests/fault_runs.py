@@ -45,7 +45,7 @@ from adaptiveface.tracking.types import TrackedFrame
 
 RELOCK = 15  # frames within which the face must be found again
 START = 12  # of the performance: the neutral is over
-LIMIT = 60.0  # s that one run may take before it counts as hanging
+LIMIT = 300.0  # s that one run may take before it counts as hanging
 #: A pose this near to that of the undisturbed run is the same head, mm and degrees.
 NEAR_MM, NEAR_DEGREES = 5.0, 3.0
 
