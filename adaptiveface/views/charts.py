@@ -19,8 +19,10 @@ from .pictures import encode, image_widget
 #: Okabe & Ito's colours, told apart with any colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
+#: Little room between the entries of a legend.
+LEGEND_TIGHT = {"columnspacing": 1.0, "handletextpad": 0.3, "borderpad": 0.2}
 #: Widths in a legend, pixels: a line with the space around it, a letter.
-LEGEND_HANDLE, LEGEND_LETTER = 50, 7
+LEGEND_HANDLE, LEGEND_LETTER = 42, 6
 
 _BAR = np.array([0x00, 0x72, 0xB2], np.uint8)  # the first of them
 
@@ -39,7 +41,7 @@ class LiveChart:
         xlabel: str,
         ylabel: str,
         title: str = "",
-        size: tuple[int, int] = (420, 260),
+        size: tuple[int, int] = (380, 220),
         log: bool = False,
         styles: dict[str, dict] | None = None,
     ) -> None:
@@ -61,7 +63,9 @@ class LiveChart:
         if len(self._lines) > 1:  # below the axes, where it hides no line
             handles = [_copy(line, name) for name, line in self._lines.items()]
             room = max(1, int(size[0] / (LEGEND_HANDLE + LEGEND_LETTER * max(map(len, self._lines)))))
-            figure.legend(handles=handles, fontsize=8, loc="outside lower center", ncols=min(room, len(handles)))
+            figure.legend(
+                handles=handles, fontsize=8, loc="outside lower center", ncols=min(room, len(handles)), **LEGEND_TIGHT
+            )
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
         self._image = self._picture(size)

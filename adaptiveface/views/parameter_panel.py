@@ -114,7 +114,8 @@ class ParameterPanel:
             self._quiet = False
 
     def _grouped(self, groups: dict[str, list[widgets.Widget]]) -> widgets.Widget:
-        boxes = [widgets.VBox(rows) for rows in groups.values()]
+        # As high as the heads beside it: what is used most comes first, and the rest is scrolled to.
+        boxes = [widgets.VBox(rows, layout=widgets.Layout(max_height="310px", overflow="auto")) for rows in groups.values()]
         if len(boxes) == 1:
             (stage,) = groups
             return widgets.VBox([widgets.HTML(f"<b>{TITLES.get(stage, stage)}</b>"), *boxes])
@@ -130,25 +131,26 @@ class ParameterPanel:
         control = _control_for(row, value, limits)
         control.description = row["name"]
         control.tooltip = f"{row['doc']} ({name})"
-        control.style = {"description_width": "138px"}
-        control.layout = widgets.Layout(width="330px")
+        control.style = {"description_width": "136px"}
+        control.layout = widgets.Layout(width="318px")
         control.add_class("adaptiveface-" + name.replace(".", "-"))
         control.observe(lambda change: self._quiet or self._apply_on_main(), "value")
         self.controls[name], self._stands_for[name] = control, (control.value, value)
+        measure = row["unit"].replace(" per 3480 vertices", "/mesh").replace("^2", "²")
         unit = widgets.HTML(
-            f"<span title='{row['doc']}'>{row['unit'].replace(' per 3480 vertices', ' / mesh').replace('^2', '²')}</span>",
-            layout=widgets.Layout(width="76px"),
+            f"<span style='white-space: nowrap' title='{row['doc']}'>{measure}</span>",
+            layout=widgets.Layout(width="68px"),
         )
         parts = [control, unit]
         if row["paper"] is not None:
             paper = widgets.Button(
                 description=f"paper: {short(row['paper'])}",
                 tooltip="set the paper's value",
-                layout=widgets.Layout(width="auto", min_width="100px"),
+                layout=widgets.Layout(width="auto", min_width="84px"),
             )
             paper.on_click(lambda _: self.set(**{name: row["paper"]}))
             parts.append(paper)
-        return widgets.HBox(parts)
+        return widgets.HBox(parts, layout=widgets.Layout(flex="0 0 auto"))
 
     def _apply(self) -> None:
         with self._errors_shown():

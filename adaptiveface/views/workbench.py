@@ -63,11 +63,11 @@ class Workbench:
         expressions = len(session.actor.blendshapes)
         self._eyes = GazeEstimator(session.actor)
         self.panel = ParameterPanel(controls, self._change, self.replay.parameters, ranges, expressions)
-        side = 300 if len(panes) > 2 else 360
+        side = 220 if len(panes) > 2 else 270
         self.view = FaceView.of(
-            session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.15 * side)), compare=True
+            session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.1 * side)), compare=True
         )
-        self.camera = CameraView((260, 300)) if camera else None
+        self.camera = CameraView((190, 220)) if camera else None
         self.player = Player(len(session.frames), self.show)
         self.verdict = widgets.HTML()  #: what has to be said first
         self.message, self._live, self._charts_due = widgets.HTML(), False, 0.0
@@ -87,16 +87,13 @@ class Workbench:
 
     def _lay_out(self, restart: widgets.Widget) -> None:
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
-        views = [self.view.widget] + ([self.camera.widget] if self.camera else [])
-        below = [
-            widgets.VBox([self.panel.widget, self.message]),
-            widgets.VBox([chart.widget for chart, _ in self.charts]),
-        ]
+        charts = [chart.widget for chart, _ in self.charts] + ([self.camera.widget] if self.camera else [])
+        # Heads beside sliders, player and charts below: on a laptop all of it is in sight at once.
         parts = [
             self.verdict,
-            widgets.HBox(views, layout=row),
+            widgets.HBox([self.view.widget, widgets.VBox([self.panel.widget, self.message])], layout=row),
             widgets.HBox([self.player.widget, restart], layout=row),
-            widgets.HBox(below, layout=row),
+            widgets.HBox(charts, layout=row),
         ]
         self.widget = Pictured(parts, self.view.picture)
         self.widget.add_class("adaptiveface-workbench")
