@@ -9,6 +9,7 @@ from adaptiveface import views
 from adaptiveface.synthetic import lesson
 from adaptiveface.tracking.types import SampleState
 from adaptiveface.views import pca_study
+from adaptiveface.views.measures import model_features
 from adaptiveface.views.session import Session
 
 #: Frames of the lesson: the laugh, the rage, the faulty ones with some before them.
@@ -128,3 +129,50 @@ def test_energy_chart(session, default):
     assert Bench.said == [] and chart._image.high == 60.0, "following a slider moves no slider"
     chart._image.high = 40.0
     assert Bench.said == [{"adaptive_pca__valid_max": 40.0}]
+
+
+def with_weights(session: Session, **changes) -> list:
+    """The first frames, of the laugh, tracked with other weights."""
+    replay = views.Replay(session.frames[:14], session.actor, views.Parameters().set(**changes))
+    return replay.run()
+
+
+def feature_error(session: Session, results: list, stage: str) -> float:
+    """Mean over the frames of the median distance between the model's and the measured features, pixels."""
+    errors = []
+    for frame, result in zip(session.frames, results, strict=False):
+        points = model_features(session, getattr(result, stage), result.rigid)
+        distances = np.linalg.norm(frame.camera.project(points) - frame.features.pixels, axis=1)
+        errors.append(np.nanmedian(distances))
+    return float(np.mean(errors))
+
+
+def roughness(session: Session, results: list) -> float:
+    """Mean length of the Laplacian of what the deformation added, v2 - v1, over the frontal region, mm."""
+    inside = session.actor.frontal[session.actor.triangles].all(axis=1)
+    edges = np.vstack([session.actor.triangles[inside][:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    moved = [(r.v2 - r.v1) for r in results]
+    return float(np.mean([np.linalg.norm(m[edges[:, 0]] - m[edges[:, 1]], axis=1).mean() for m in moved]))
+
+
+def moved_by(results: list) -> float:
+    """Mean length of v2 - v1, mm."""
+    return float(np.mean([np.linalg.norm(r.v2 - r.v1, axis=1).mean() for r in results]))
+
+
+def test_w(session):
+    """w weighs the 2D features against the depth in the blendshape fit: without it the features are missed."""
+    little, default, large = (with_weights(session, blendshapes__w=w) for w in (1e-7, 5e-5, 1e-2))
+    missed = [feature_error(session, results, "v1") for results in (little, default, large)]
+    assert missed[0] > 1.1 * missed[1] > 1.21 * missed[2]
+
+
+def test_w1_and_w2(session):
+    """w1 pulls to the depth and w2 smooths: much w1 does what little w2 does, rough skin; much w2 leaves v1 as it is."""
+    default, much_w1, little_w2, much_w2 = (
+        with_weights(session, **changes)
+        for changes in ({}, {"laplacian__w1": 10.0}, {"laplacian__w2": 0.015}, {"laplacian__w2": 1e5})
+    )
+    assert roughness(session, much_w1) > 2 * roughness(session, default)
+    assert roughness(session, little_w2) > 2 * roughness(session, default)
+    assert moved_by(much_w2) < 0.1 * moved_by(default)
