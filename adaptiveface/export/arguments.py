@@ -46,6 +46,11 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
     command.add_argument("--compact", action="store_true", help="glb: 16-bit coordinates, under half the size")
     command.add_argument(
+        "--meshopt",
+        action="store_true",
+        help="glb: compressed to an eighth by gltfpack, for three.js and others with a decoder",
+    )
+    command.add_argument(
         "--no-insides", dest="insides", action="store_false", help="leave out the actor's eyes, teeth and tongue"
     )
     command.add_argument(

@@ -89,7 +89,7 @@ def run_export(args: argparse.Namespace) -> int:
         )
         return 0
     mesh = animated(result, actor, options)
-    write_mesh(out, mesh, args.format, args.out_unit, args.compact)
+    write_mesh(out, mesh, args.format, args.out_unit, args.compact, args.meshopt)
     print(f"{out}: {mesh.description}")
     return 0
 
@@ -131,9 +131,13 @@ def _smoothing(args: argparse.Namespace) -> Smoothing | None:
     return FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None
 
 
-def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compact: bool = False) -> None:
+def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compact: bool = False, meshopt: bool = False) -> None:
     """Write any of the formats of meshes; says the size of large ones first. ``unit``: of lengths in OBJ and caches."""
-    if kind == "glb":
+    if kind == "glb" and meshopt:
+        from .meshopt import write_meshopt_glb
+
+        write_meshopt_glb(out, mesh)
+    elif kind == "glb":
         from .gltf import write_glb
 
         write_glb(out, mesh, compact)
@@ -157,9 +161,15 @@ def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compac
 
 
 def _output(args: argparse.Namespace) -> Path:
-    if args.compact and (args.format != "glb" or (is_gltf(args.character) and not args.correctives)):
+    if (args.compact or args.meshopt) and (args.format != "glb" or (is_gltf(args.character) and not args.correctives)):
         what = "a character's own file, which stays as it is" if args.format == "glb" else args.format
-        raise ParameterError(f"--compact: only for .glb files that are written anew, not for {what}")
+        raise ParameterError(
+            f"{'--meshopt' if args.meshopt else '--compact'}: only for .glb files that are written anew, not for {what}"
+        )
+    if args.meshopt:
+        from .meshopt import find_gltfpack
+
+        find_gltfpack()  # before any work
     suffix = FORMATS[args.format]
     name = "arkit" if args.format == "arkit-csv" else Path(args.character).stem
     out = args.out or args.result.with_name(f"{args.result.stem}-{name}{suffix or '-obj'}")

@@ -50,7 +50,7 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
     else:
         from .command import write_mesh
 
-        write_mesh(out, mesh, args.format, args.out_unit, args.compact)
+        write_mesh(out, mesh, args.format, args.out_unit, args.compact, args.meshopt)
     print(f"{out}: {mesh.description}")
     return 0
 
