@@ -145,8 +145,8 @@ class LiveControls:
                 self.scan,
                 self.pictures,
                 self.figures,
-                self.actions,
                 self.panel.widget,
+                self.actions,
                 self.curves,
             ]
         )

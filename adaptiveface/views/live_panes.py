@@ -31,7 +31,7 @@ HISTORY = 300
 class MeshPane:
     """The tracked mesh v4 with a heat map, turned as the head is; before that, how far the neutral scan has come."""
 
-    def __init__(self, size: tuple[int, int] = (360, 400)) -> None:
+    def __init__(self, size: tuple[int, int] = (270, 290)) -> None:
         self._size, self._view, self._actor, self._gaze = size, None, None, None
         self.heat = widgets.Dropdown(
             options=[ADDED, TO_DEPTH, PLAIN],
@@ -94,7 +94,7 @@ class MeshPane:
 class InputPane:
     """What the sensor sees, with the 2D features and the model over it."""
 
-    def __init__(self, size: tuple[int, int] = (340, 400)) -> None:
+    def __init__(self, size: tuple[int, int] = (250, 290)) -> None:
         self.camera = CameraView(size, "input: features (yellow), model (blue)")
         self.widget = self.camera.widget
 
@@ -136,7 +136,10 @@ class CharacterPane:
 
 
 class CurvesPane:
-    """Figure 11 over the last frames, the coefficients, and the milliseconds of every stage."""
+    """Figure 11 over the last frames; the coefficients and the milliseconds of every stage.
+
+    ``curves.widget`` is the chart of figure 11, which stands beside the pictures; ``widget`` holds the others.
+    """
 
     def __init__(self) -> None:
         self._anchor, self._adaptive = deque(maxlen=HISTORY), deque(maxlen=HISTORY)
@@ -147,14 +150,14 @@ class CurvesPane:
             "frames ago",
             "mean distance, mm",
             "figure 11: distance of v2",
-            size=(440, 230),
+            size=(380, 290),
         )
         self.stages = BarChart([*STAGE_NAMES, "2D features"], (0, 20), "ms", "time per frame", size=(440, 230))
         self.coefficients: BarChart | None = None
         self._names: tuple[str, ...] = ()
         self._box = widgets.VBox([])
         self.widget = widgets.HBox(
-            [widgets.VBox([self.curves.widget, self.stages.widget]), self._box],
+            [self.stages.widget, self._box],
             layout=widgets.Layout(flex_flow="row wrap"),
         )
 

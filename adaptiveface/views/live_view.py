@@ -315,7 +315,7 @@ class LiveView:
         name = self.controls.character.value
         self._character = CharacterPane(name) if name else None
         extra = [self._character.widget] if self._character else []
-        self.controls.pictures.children = [self.input.widget, self.mesh.widget, *extra]
+        self.controls.pictures.children = [self.input.widget, self.mesh.widget, self.curves.curves.widget, *extra]
 
     @property
     def _expressions(self) -> int:
