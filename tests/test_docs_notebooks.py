@@ -61,3 +61,36 @@ def test_a_picture_that_the_mouse_turns_is_shown_too(script):
     cell = {"cell_type": "code", "outputs": [{"output_type": "display_data", "data": {panels.VIEW: {"model_id": "a"}}}]}
     page = panels.static({"metadata": {"widgets": {panels.STATE: {"state": state}}}, "cells": [cell]})
     assert list(page["cells"][0]["outputs"][0]["data"]) == ["image/png"]
+
+
+HEAD_CELL = """
+import numpy as np
+from adaptiveface.views.face_view import FaceView
+points = np.array([[-60.0, -60, 0], [60, -60, 0], [0, 80, 0], [0, 0, 60]])
+view = FaceView(points, np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]]), ["left", "right"], limits=(0, 5), label="mm")
+view.show(1, points, np.arange(4.0))
+view.refresh()
+view.widget
+"""
+HEAD_PAGE = """<!doctype html><title>heads</title>{heads}
+<script>document.addEventListener("adaptiveface-picture", (event) => {{
+  const out = document.createElement("pre");
+  out.id = "out";
+  out.textContent = JSON.stringify({{camera: event.target.dataset.camera, titles: document.body.innerText}});
+  document.body.append(out);
+}}, {{once: true}});</script><script type="module" src="page_heads.js"></script>"""
+
+
+def test_heads_are_drawn_by_the_page_itself(script, tmp_path):
+    """What the widget held is in the page, and the widget's own code draws it there without a kernel."""
+    from web import ask
+
+    source = tmp_path / "heads.ipynb"
+    nbformat.write(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(HEAD_CELL)]), source)
+    script.execute(source, "package")
+    page = json.loads((tmp_path / "executed" / "heads.ipynb").read_text(encoding="utf-8"))
+    (output,) = page["cells"][0]["outputs"]
+    assets = {"heads.js": DOCS.parent / "adaptiveface/assets/heads.js", "page_heads.js": DOCS / "_static/page_heads.js"}
+    html = HEAD_PAGE.format(heads=output["data"]["text/html"])
+    seen = ask(tmp_path / "page", tmp_path, html, assets)
+    assert seen["camera"] == "0 0 1" and "left" in seen["titles"] and "right" in seen["titles"]

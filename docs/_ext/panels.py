@@ -7,7 +7,9 @@ a function that makes outputs of it, which is where views that work in the page 
 from __future__ import annotations
 
 import base64
+import gzip
 import io
+import json
 from collections.abc import Callable
 
 from PIL import Image
@@ -43,8 +45,24 @@ def words(model: dict) -> list[dict]:
     return [_output({"text/html": f"<p>{text}</p>"})] if text.strip() and "<style" not in text else []
 
 
+#: The class of the widget that draws heads; its code draws them in the page, too.
+HEADS = "adaptiveface.views.heads.Heads"
+
+
+def heads(model: dict) -> list[dict]:
+    """Heads that the page draws and the mouse turns: the widget's values, packed, for ``_static/page_heads.js``."""
+    values = {name: value for name, value in model["state"].items() if not name.startswith("_")}
+    known: dict[str, int] = {}  # panes often share a geometry
+    paths = [[b["path"], known.setdefault(b["data"], len(known))] for b in model.get("buffers") or ()]
+    text = json.dumps({"values": values, "buffers": [*known], "paths": paths}, separators=(",", ":"))
+    packed = base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+    titles = ", ".join(title for title in values["titles"] if title) or "a head"
+    place = f'<div class="adaptiveface-page-head"><p>{titles}: drawn with JavaScript and WebGL.</p>'
+    return [_output({"text/html": f'{place}<script type="application/octet-stream">{packed}</script></div>'})]
+
+
 #: Widget model -> what it leaves in the page. Sliders and buttons leave nothing: they need a kernel.
-RENDERERS: dict[str, Callable[[dict], list[dict]]] = {"ImageModel": image, "HTMLModel": words}
+RENDERERS: dict[str, Callable[[dict], list[dict]]] = {"ImageModel": image, "HTMLModel": words, HEADS: heads}
 
 
 def static(notebook: dict) -> dict:
@@ -68,8 +86,8 @@ def _drawn(identity: str, state: dict) -> list[dict]:
     if model is None:
         return []
     name, values = model.get("model_name", ""), model["state"]
-    if "_esm" in values and _value(model):  # our own picture, which the mouse can turn
-        name = "ImageModel"
+    if "_esm" in values:  # one of our own
+        name = "ImageModel" if _value(model) else values.get("_anywidget_id", name)
     found = RENDERERS.get(name, lambda model: [])(model)
     for child in values.get("children") or ():
         found += _drawn(child.removeprefix("IPY_MODEL_"), state)
