@@ -103,7 +103,7 @@ def test_every_kind_of_source_can_be_mirrored(takes, tmp_path):
         played = list(sensor)
     for frame, expected in zip(played, Recording(takes / "straight"), strict=True):
         assert np.array_equal(frame.depth, expected.depth) and frame.camera == expected.camera
-    with FeatureFeed(open_sensor(f"{takes / 'selfie'},mirrored")) as feed:
+    with open_sensor(f"{takes / 'selfie'},mirrored") as sensor, FeatureFeed(sensor) as feed:
         first = feed.read(5)
     np.testing.assert_allclose(first.features.pixels, Recording(takes / "straight").read(0).features.pixels, atol=1e-3)
 
