@@ -40,9 +40,10 @@ def _value(model: dict) -> str:
 
 
 def words(model: dict) -> list[dict]:
-    """The text of an HTML widget; style sheets, which are for the live panel, are left out."""
+    """The text of an HTML widget; what belongs to sliders, units and style sheets, is left out with them."""
     text = model["state"].get("value", "")
-    return [_output({"text/html": f"<p>{text}</p>"})] if text.strip() and "<style" not in text else []
+    with_sliders = "<style" in text or text.startswith("<span")
+    return [_output({"text/html": f"<p>{text}</p>"})] if text.strip() and not with_sliders else []
 
 
 #: The class of the widget that draws heads; its code draws them in the page, too.
