@@ -176,3 +176,12 @@ def test_w1_and_w2(session):
     assert roughness(session, much_w1) > 2 * roughness(session, default)
     assert roughness(session, little_w2) > 2 * roughness(session, default)
     assert moved_by(much_w2) < 0.1 * moved_by(default)
+
+
+def test_displacements_have_the_singular_values_of_their_samples(default):
+    """The correctives are orthogonal to the anchor space, so that its part of a displacement does not count."""
+    last = len(LAUGH) - 1
+    model = default.model_after(last)
+    both = [f(default, last) for f in (pca_study.learned_samples, pca_study.learned_displacements)]
+    one, other = (pca_study.singular_values(model, samples) for samples in both)
+    assert other == pytest.approx(one, rel=1e-3)

@@ -74,7 +74,8 @@ class CorrectiveView:
                 heat[frontal] = (shape * self._normals[frontal]).sum(axis=1)
             self.view.show(k, vertices, heat)
         self.view.refresh()
-        values = singular_values(model, learned_samples(replay, index))[: self._most]
+        # The correctives are orthogonal to the anchors, so that the samples' part in the anchor space need not be taken away.
+        values = singular_values(model, learned_displacements(replay, index))[: self._most]
         self.values.update(np.pad(values, (0, self._most - len(values))))
 
     def close(self) -> None:
@@ -153,13 +154,17 @@ def energy_chart(session: Session) -> tuple[EnergyChart, ChartSource]:
     return chart, source
 
 
+def learned_displacements(replay: Replay, last: int) -> np.ndarray:
+    """(s, 3n) v2 - v1 of the newest S frames that were learned from, up to frame ``last``."""
+    frontal = np.flatnonzero(replay.actor.frontal)
+    used = [r for r in replay.results[: last + 1] if r is not None and r.sample_state == SampleState.LEARNED]
+    moved = [(r.v2[frontal] - r.v1[frontal]).ravel() for r in used[-replay.parameters.adaptive_pca.S :]]
+    return np.array(moved).reshape(-1, 3 * len(frontal))
+
+
 def learned_samples(replay: Replay, last: int) -> np.ndarray:
     """(s, 3n) samples learned up to frame ``last``: v2 - v1 without its part in the anchor space."""
-    anchors, frontal = replay.tracker.model.anchors, replay.actor.frontal
-    used = [r for r in replay.results[: last + 1] if r is not None and r.sample_state == SampleState.LEARNED]
-    samples = np.array([(r.v2 - r.v1)[frontal].ravel() for r in used[-replay.parameters.adaptive_pca.S :]]).reshape(
-        -1, len(anchors)
-    )
+    anchors, samples = replay.tracker.model.anchors, learned_displacements(replay, last)
     return samples - (samples @ anchors) @ anchors.T
 
 
