@@ -18,7 +18,9 @@ from adaptiveface.export.obj_sequence import read_obj_sequence, write_obj_sequen
 from adaptiveface.export.point_cache import read_point_cache, write_point_cache
 from adaptiveface.export.video import PANEL, tracked_panel
 from adaptiveface.face_model import embedded_face_model
+from adaptiveface.frame import FEATURE_IDS
 from adaptiveface.insides import make_insides
+from adaptiveface.mesh import rotation_vector_matrix, surface_points
 from adaptiveface.report.pictures import Portraits
 from adaptiveface.retargeting.gltf_file import GltfFile
 from adaptiveface.retargeting.retarget import head_meshes
@@ -110,6 +112,35 @@ def test_eyeballs_turn_by_the_gaze(model):
         pupil = turned[parts[name]][0] - turned[parts[name]][[0, -1]].mean(axis=0)
         expected = [np.cos(pitch) * np.sin(yaw), np.sin(pitch), np.cos(pitch) * np.cos(yaw)]
         np.testing.assert_allclose(pupil / np.linalg.norm(pupil), expected, atol=1e-9)
+
+
+def iris_place(neutral: np.ndarray, insides, side: int) -> float:
+    """Where the pupil of an eye that looks ahead lies between the lids: 0 at the lower, 1 at the upper one."""
+    centre, rim = insides.eye_centres[side], neutral[insides.lid_loops[side]]
+    near = rim[np.abs(rim[:, 0] - centre[0]) < 5.0, 1]
+    return float((centre[1] - near.min()) / np.ptp(near))
+
+
+@pytest.mark.parametrize("degrees", (-20, 0, 20))
+def test_eyes_that_look_ahead_look_ahead_whatever_slope_the_lids_have(model, degrees):
+    neutral = person(model, 3)
+    turn = rotation_vector_matrix(np.radians([degrees, 0.0, 0.0]))
+    for loop in make_insides(neutral, model.triangles).lid_loops:
+        middle = neutral[loop].mean(axis=0)
+        neutral[loop] = (neutral[loop] - middle) @ turn.T + middle
+    insides = make_insides(neutral, model.triangles)
+    assert all(0.5 < iris_place(neutral, insides, side) < 0.62 for side in (0, 1))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lips_at_rest_cover_the_teeth(model, seed):
+    neutral = person(model, seed)
+    insides = make_insides(neutral, model.triangles)
+    marks = surface_points(neutral, model.feature_triangles, model.feature_weights)
+    upper, lower = (marks[list(FEATURE_IDS).index(number)] for number in (62, 66))
+    parts, points = parts_of(insides), insides.at(neutral)
+    assert points[parts["upper teeth"]][:, 1].min() > upper[1]
+    assert points[parts["lower teeth, tongue"]][: len(insides.upper), 1].max() < lower[1]
 
 
 def test_meshes_of_other_models_have_no_parts(model):

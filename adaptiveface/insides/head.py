@@ -9,7 +9,7 @@ import numpy as np
 
 from ..face_model import FaceModel, embedded_face_model
 from ..frame import FEATURE_IDS
-from ..mesh import boundary_loops, rigid_alignment, rotation_vector_matrix, surface_points, transform_points
+from ..mesh import boundary_loops, rotation_vector_matrix, surface_points
 from .parts import CAVITY, CORNEA, eyeball_mesh, strip, teeth_mesh, tongue_mesh
 
 IRIS = (92, 116, 128)
@@ -18,6 +18,8 @@ PARTS = LEFT_EYE, RIGHT_EYE, UPPER, LOWER = range(4)
 SOFT = -1
 #: Skin stays this far in front of an eyeball, mm: half the sag of a lid's triangles.
 CLEARANCE = 0.35
+#: An iris, and how far its centre lies above the middle between the lids of an eye that looks ahead, mm.
+IRIS_RADIUS, IRIS_RISE = 5.85, 0.5
 #: A lip's rim covers the teeth within this radius, mm.
 LIP_WIDTH = 2.0
 #: Rings of the mouth behind its rim: depth mm, how far it widens, how much it follows the rim, and its light.
@@ -196,20 +198,32 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
 
 
 def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.ndarray]:
-    """Centres and radii of the model's mean eyeballs, moved and scaled to the lids, as far back as these ask for."""
+    """Centres and radii of the model's mean eyeballs, scaled and moved to the lids, as far back as these ask for.
+
+    They are moved only. A rotation that fits the lids would be the lids' own shape: it carries a centre, which lies 15 mm
+    behind them, several millimetres up or down on some real heads, and the eyes look at the ceiling.
+    """
     centres, radii = [], []
     for side, loop in zip((1, -1), lids, strict=True):
         centre, radius = sphere_of(model.eye_mean[model.eye_mean[:, 0] * side > 0])
         source, target = model.mean[loop], neutral[loop]
         size = np.linalg.norm(target - target.mean(0)) / np.linalg.norm(source - source.mean(0))
         size = float(np.clip(size, 0.85, 1.15))
-        placed = transform_points(rigid_alignment(size * source, target), size * centre[None])[0]
+        placed = target.mean(axis=0) + size * (centre - source.mean(axis=0))
+        placed[1] = _iris_height(target, placed[0])
         radius *= size / (1 + CORNEA)
         reach = np.linalg.norm(target - placed, axis=1).min() - CLEARANCE  # of the cornea, before it meets a lid
         placed[2] -= max(radius * (1 + CORNEA) - reach, 0.0)
         centres.append(placed)
         radii.append(radius)
     return np.array(centres), np.array(radii)
+
+
+def _iris_height(rim: np.ndarray, x: float) -> float:
+    """The height of an iris that looks ahead at ``x`` between lids (n, 3): the upper lid covers more of it, mm."""
+    near = rim[np.abs(rim[:, 0] - x) < IRIS_RADIUS]
+    middle = 0.5 * (near[:, 1].max() + near[:, 1].min())
+    return float(middle + IRIS_RISE)
 
 
 def sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -226,8 +240,9 @@ def _mouth_parts(marks: np.ndarray):
     line = 0.5 * (place[62] + place[66])
     front = min(place[62][2], place[66][2]) - 5.3 * size
     row, triangles, colours = teeth_mesh(26.0 * size, 40.0 * size, 9.0 * size)
-    upper = row + [line[0], line[1] - 2.0 * size, front]
-    lower = row * [0.95, -0.9, 1.0] + [line[0], line[1] - 1.6 * size, front - 3.0 * size]
+    # At rest lips cover both rows: a neutral scan leaves a slit between them even where a person keeps them closed.
+    upper = row + [line[0], place[62][1] + 0.5 * size, front]
+    lower = row * [0.95, -0.9, 1.0] + [line[0], place[66][1] - 1.0 * size, front - 3.0 * size]
     tongue, tongue_triangles, tongue_colours = tongue_mesh(17.0 * size, 45.0 * size)
     tongue = tongue + [line[0], line[1] - 7.0 * size, front - 8.0 * size]
     return upper, lower, triangles, colours, (tongue, tongue_triangles, tongue_colours)

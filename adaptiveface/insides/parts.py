@@ -75,7 +75,7 @@ def teeth_mesh(half_width: float, depth: float, height: float) -> tuple[np.ndarr
         points.append(
             np.stack([half_width * size[0] * np.sin(theta), up * crown + bite, depth * (size[1] * np.cos(theta) - 1)], axis=1)
         )
-        dark = 1 - 0.35 * across**6 * (not gum) - 0.25 * np.abs(place) ** 2
+        dark = (1 - 0.35 * across**6 * (not gum)) * (1 - 0.8 * np.clip(np.abs(place) / 0.8, 0, 1) ** 2)  # cheeks' shade
         colours.append(np.array(GUM if gum else IVORY, float) * dark[:, None])
     triangles = strip(len(rows), columns)
     return np.concatenate(points), triangles, np.concatenate(colours)
