@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..caches.compiled import compiled
 from ..camera import Camera
 from ..parameters import DepthParameters
 
@@ -84,12 +85,34 @@ def occluded_share(surface: DepthSurface, points: np.ndarray, normals: np.ndarra
     ``points`` and unit ``normals`` (n, 3) in the camera frame; what does not face the camera is not asked, since the
     face hides that itself. 0 where nothing is measured.
     """
-    facing = -np.einsum("nd,nd->n", normals, points) > 0.3 * np.linalg.norm(points, axis=1)
-    front = points[facing & (points[:, 2] > 1.0)]
-    pixels = np.rint(surface.camera.project(front) - surface.origin).astype(int)
-    height, width = surface.valid.shape
-    inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
-    u, v = pixels[inside].T
-    measured = surface.valid[v, u] > 0
-    hidden = measured & (surface.depth[v, u] < front[inside, 2] - margin)
-    return float(hidden.sum() / max(measured.sum(), 1))
+    camera = surface.camera
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, float(surface.origin[0]), float(surface.origin[1]))
+    measured, hidden = _count_hidden(surface.depth, surface.valid, intrinsics, points, normals, float(margin))
+    return hidden / max(measured, 1)
+
+
+@compiled
+def _count_hidden(
+    depth: np.ndarray,
+    valid: np.ndarray,
+    intrinsics: tuple[float, ...],
+    points: np.ndarray,
+    normals: np.ndarray,
+    margin: float,
+) -> tuple[int, int]:
+    """How many facing points are measured, and how many of those lie more than ``margin`` mm behind the depth map."""
+    fx, fy, cx, cy, u0, v0 = intrinsics
+    height, width = depth.shape
+    measured, hidden = 0, 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        towards = -(normals[i, 0] * x + normals[i, 2] * z + normals[i, 1] * y)
+        if not (z > 1.0 and towards > 0.3 * np.sqrt(x * x + y * y + z * z)):
+            continue
+        u, v = np.rint(fx * x / z + cx - u0), np.rint(fy * y / z + cy - v0)
+        if not (0 <= u < width and 0 <= v < height) or valid[int(v), int(u)] == 0:
+            continue
+        measured += 1
+        if depth[int(v), int(u)] < z - margin:
+            hidden += 1
+    return measured, hidden

@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..actor import Actor
+from ..caches.compiled import compiled
 from ..parameters import AdaptivePcaParameters
 from .types import SampleState
 
@@ -69,6 +70,15 @@ def em_in_sample_space(gram: np.ndarray, coefficients: np.ndarray, steps: int) -
         y = np.linalg.solve(products @ z, products)
         z = np.linalg.solve(y @ y.T, y).T
     return z
+
+
+@compiled
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    """(n,) lengths of ``vectors`` (n, 3), in one pass."""
+    out = np.empty(len(vectors))
+    for i in range(len(vectors)):
+        out[i] = np.sqrt(vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2)
+    return out
 
 
 #: (gram (s, s), coefficients (k, s), steps) -> Z (s, k).
@@ -134,9 +144,9 @@ class AdaptiveModel:
         To be asked before that frame is learned from: afterwards a new expression is known already.
         """
         residual = displacement - self.anchors @ (self.anchors.T @ displacement)
-        anchor = float(np.linalg.norm(residual.reshape(-1, 3), axis=1).mean())
+        anchor = float(_lengths(residual.reshape(-1, 3)).mean())
         residual = residual - self.correctives @ (self.correctives.T @ residual)
-        return anchor, float(np.linalg.norm(residual.reshape(-1, 3), axis=1).mean())
+        return anchor, float(_lengths(residual.reshape(-1, 3)).mean())
 
     def energy(self, sample: np.ndarray) -> float:
         """||s||^2 of a sample (3n,) in mm, in the units of valid_min and valid_max: cm^2 over a mesh of the paper's size."""

@@ -175,10 +175,7 @@ class Tracker(ABC):
     def _project(self, v2: np.ndarray) -> np.ndarray:
         """v3 (N, 3): v2 projected on the adaptive space (section 4.3, last equation)."""
         frontal, outside = self.model.project(self.region.displacement(v2))
-        v3 = self.actor.neutral.copy()
-        v3[self.region.vertices] += frontal.reshape(-1, 3)
-        v3[self.region.outside] += outside.reshape(-1, 3)
-        return v3
+        return self.region.assembled(self.actor.neutral, frontal, outside)
 
     def untracked(self, frame: RgbdFrame, reason: str, ms: dict[str, float] | None = None) -> TrackedFrame:
         """The result of a ``frame`` in which there is no face, or none that can be tracked: the neutral, unmoved."""

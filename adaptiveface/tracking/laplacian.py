@@ -16,112 +16,19 @@ paper's form, whose matrix is A0 itself and needs no iteration; printed.py has i
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse.linalg import splu
 
 from ..actor import Actor
-from ..caches.compiled import compiled
 from ..mesh import cotangent_laplacian
 from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
+from .prefactored import LaplacianOperator, PrefactoredSystem
 
 #: Row numbers (m,) and directions (m, 3) of the features' rows, and the factor of their Woodbury system; None without rows.
 Correction = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, bool] | None]
-#: L (N, N) of a mesh: ``laplacian(vertices (N, 3), triangles (T, 3))``.
-LaplacianOperator = Callable[[np.ndarray, np.ndarray], sp.spmatrix]
-
-
-class PrefactoredSystem:
-    """A0 = w1 I + w2 L^T L on the frontal vertices, factorised once: A0 = P^T G D G^T P with G unit lower triangular.
-
-    ``laplacian(vertices, triangles)`` gives L (N, N). Raises RuntimeError when A0 is singular (w1 = 0 and no vertex
-    outside the frontal region).
-    """
-
-    def __init__(
-        self,
-        vertices: np.ndarray,
-        triangles: np.ndarray,
-        frontal: np.ndarray,
-        w1: float,
-        w2: float,
-        laplacian: LaplacianOperator = cotangent_laplacian,
-    ) -> None:
-        rows = laplacian(vertices, triangles)[:, np.flatnonzero(frontal)]
-        self._bending = (rows.T @ rows).tocsr()
-        self._factorise(w1, w2)
-
-    def reweighted(self, w1: float, w2: float) -> PrefactoredSystem:
-        """The same surface with other energy weights: only the factorisation is made anew."""
-        out = copy.copy(self)
-        out._factorise(w1, w2)
-        return out
-
-    def _factorise(self, w1: float, w2: float) -> None:
-        self.smoothing = w2 * self._bending
-        matrix = (self.smoothing + w1 * sp.identity(self._bending.shape[0])).tocsc()
-        # The matrix is symmetric positive definite: diagonal pivots and a symmetric ordering keep the factor sparse.
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        lower = factor.L
-        lower.sort_indices()
-        below = np.ones(lower.nnz, bool)
-        below[lower.indptr[:-1]] = False  # each column begins with its unit diagonal, which is not stored
-        starts = lower.indptr - np.arange(len(lower.indptr))
-        self._pattern = starts.astype(np.int32), lower.indices[below].astype(np.int32)
-        self._values = lower.data[below]
-        self._single_values = self._values.astype(np.float32)
-        self._inverse_diagonal, self._order = 1.0 / factor.U.diagonal(), factor.perm_r.astype(np.int32)
-
-    def solve(self, right_hand_side: np.ndarray) -> np.ndarray:
-        """A0^-1 b for b (n, c)."""
-        solution = np.empty_like(right_hand_side, order="C", dtype=float)
-        for first in range(0, right_hand_side.shape[1], 3):
-            block = np.zeros((len(solution), 3))
-            block[:, : right_hand_side.shape[1] - first] = right_hand_side[:, first : first + 3]
-            solved = _solve_three(*self._pattern, self._values, self._inverse_diagonal, self._order, block)
-            solution[:, first : first + 3] = solved[:, : right_hand_side.shape[1] - first]
-        return solution
-
-    def precondition(self, residual: np.ndarray) -> np.ndarray:
-        """A0^-1 r for r (n, 3) from the factor in single precision: enough for a search direction, and faster to stream."""
-        single = self._single_values
-        return _solve_three(*self._pattern, single, self._inverse_diagonal, self._order, np.ascontiguousarray(residual))
-
-
-@compiled
-def _solve_three(
-    starts: np.ndarray, rows: np.ndarray, values: np.ndarray, inverse_diagonal: np.ndarray, order: np.ndarray, right: np.ndarray
-) -> np.ndarray:
-    """P^T G^-T D^-1 G^-1 P b for b (n, 3): the three coordinates share one pass over the factor (SuperLU makes three)."""
-    n = len(inverse_diagonal)
-    y = np.empty((n, 3))
-    for i in range(n):
-        y[order[i], 0], y[order[i], 1], y[order[i], 2] = right[i, 0], right[i, 1], right[i, 2]
-    for j in range(n):
-        a, b, c = y[j, 0], y[j, 1], y[j, 2]
-        for k in range(starts[j], starts[j + 1]):
-            i, value = rows[k], values[k]
-            y[i, 0] -= value * a
-            y[i, 1] -= value * b
-            y[i, 2] -= value * c
-    for j in range(n - 1, -1, -1):
-        scale = inverse_diagonal[j]
-        a, b, c = y[j, 0] * scale, y[j, 1] * scale, y[j, 2] * scale
-        for k in range(starts[j], starts[j + 1]):
-            i, value = rows[k], values[k]
-            a -= value * y[i, 0]
-            b -= value * y[i, 1]
-            c -= value * y[i, 2]
-        y[j, 0], y[j, 1], y[j, 2] = a, b, c
-    solution = np.empty((n, 3))
-    for i in range(n):
-        solution[i, 0], solution[i, 1], solution[i, 2] = y[order[i], 0], y[order[i], 1], y[order[i], 2]
-    return solution
 
 
 @dataclass(frozen=True)
@@ -279,8 +186,7 @@ class LaplacianDeformation:
 
     def _apply(self, d: np.ndarray, strength: np.ndarray, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """The true system's matrix times a displacement (n, 3)."""
-        along = strength * np.einsum("nd,nd->n", normals, d)
-        image: np.ndarray = self.system.smoothing @ d + along[:, None] * normals
+        image = self.system.apply(d, strength, normals)
         self._add_pull(image, term, np.einsum("frd,fd->fr", term.rows, self._at_features(d, term.index)))
         return image
 

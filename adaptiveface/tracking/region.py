@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..actor import Actor
+from ..caches.compiled import compiled
 from ..mesh import vertex_normals
 
 
@@ -38,11 +39,35 @@ class FrontalRegion:
 
     def displacement(self, mesh: np.ndarray) -> np.ndarray:
         """(3n,) displacement of the region of a ``mesh`` (N, 3) from the neutral, mm."""
-        moved: np.ndarray = (mesh[self.vertices] - self.neutral).ravel()
+        moved: np.ndarray = _differences(mesh, self.vertices, self.neutral).ravel()
         return moved
 
     def displaced(self, mesh: np.ndarray, deformation: np.ndarray) -> np.ndarray:
         """A copy of ``mesh`` (N, 3) whose region is moved by ``deformation`` (n, 3), mm."""
         moved = mesh.copy()
-        moved[self.vertices] += deformation
+        _move(moved, self.vertices, deformation)
         return moved
+
+    def assembled(self, neutral: np.ndarray, frontal: np.ndarray, outside: np.ndarray) -> np.ndarray:
+        """A copy of ``neutral`` (N, 3), its region moved by ``frontal`` (3n,), the other vertices by ``outside``, mm."""
+        moved = self.displaced(neutral, frontal.reshape(-1, 3))
+        _move(moved, self.outside, outside.reshape(-1, 3))
+        return moved
+
+
+@compiled
+def _differences(mesh: np.ndarray, vertices: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """``mesh[vertices] - origin``, (n, 3), in one pass."""
+    out = np.empty(origin.shape)
+    for i in range(len(vertices)):
+        for k in range(3):
+            out[i, k] = mesh[vertices[i], k] - origin[i, k]
+    return out
+
+
+@compiled
+def _move(mesh: np.ndarray, vertices: np.ndarray, by: np.ndarray) -> None:
+    """``mesh[vertices] += by`` in place, in one pass."""
+    for i in range(len(vertices)):
+        for k in range(3):
+            mesh[vertices[i], k] += by[i, k]
