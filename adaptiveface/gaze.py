@@ -81,7 +81,7 @@ class GazeEstimator:
         """
         if not tracked.tracked or frame is None:
             return None
-        return self.measure(tracked.v4, tracked.rigid, frame.camera, frame.features)
+        return self.measure(tracked.v4, tracked.head_pose, frame.camera, frame.features)
 
     def _open(self, features: Features2D, side: int) -> bool:
         corners, pixels = _CORNER_ROWS[side], features.pixels

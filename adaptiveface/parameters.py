@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from .errors import ParameterError
+from .renamed import renamed
 from .stages import Stage, StageSet, parameter
 
 
@@ -36,15 +37,18 @@ class DepthParameters(Stage):
     min_view: float = parameter(0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9)
 
 
+@renamed
 @dataclass(frozen=True)
 class RigidParameters(Stage):
     """Section 4.1: rigid ICP, loss and recovery."""
 
-    prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200)
+    max_correspondence_distance: float = parameter(
+        25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200
+    )
     outlier: float = parameter(
         5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
-    lost: float = parameter(
+    max_residual: float = parameter(
         3.0,
         "mean residual above which the track counts as lost (the paper's stop rule)",
         unit="mm",
@@ -61,7 +65,7 @@ class RigidParameters(Stage):
     min_matches: int = parameter(150, "fewer correspondences than this and the track is lost", low=6, high=100000)
     stop: str = parameter(
         "motion",
-        "ICP ends when a step moves the face little, or, as printed, once the mean distance is below ``lost``",
+        "ICP ends when a step moves the face little, or, as printed, once the mean distance is below ``max_residual``",
         section="4.1",
         choices=("motion", "distance"),
         paper="distance",
@@ -92,6 +96,7 @@ class RigidParameters(Stage):
     )
 
 
+@renamed
 @dataclass(frozen=True)
 class BlendshapeParameters(Stage):
     """Section 4.2: bounded fit of the initial blendshapes, equations (1) and (2)."""
@@ -101,7 +106,9 @@ class BlendshapeParameters(Stage):
     iterations: int = parameter(3, "rounds of correspondence search and solve", section="4.2", low=1, high=20)
     lower: float = parameter(0.0, "lower bound of a coefficient", section="4.2", low=-1, high=0)
     upper: float = parameter(1.0, "upper bound of a coefficient", section="4.2", low=0.1, high=3)
-    prune: float = parameter(15.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
+    max_correspondence_distance: float = parameter(
+        15.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0
+    )
     outlier: float = parameter(
         5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
@@ -116,7 +123,7 @@ class BlendshapeParameters(Stage):
     temporal: float = parameter(
         30.0, "penalty on their squared change from frame to frame", unit="mm^2", low=0, high=1e5, log=True, paper=0.0
     )
-    turned: float = parameter(
+    profile_stiffness: float = parameter(
         100.0,
         "how many times stiffer than from the front the coefficients are held in a profile view",
         low=1,
@@ -124,7 +131,7 @@ class BlendshapeParameters(Stage):
         log=True,
         paper=1.0,
     )
-    every: int = parameter(
+    vertex_stride: int = parameter(
         3, "the rigid and the blendshape fit take every so many vertices", section="4.2", low=1, high=20, paper=1
     )
     sparsity: float = parameter(
@@ -154,6 +161,7 @@ class KalmanParameters(Stage):
     )
 
 
+@renamed
 @dataclass(frozen=True)
 class LaplacianParameters(Stage):
     """Sections 4.3 and 4.4: fast Laplacian deformation, equations (3) to (7).
@@ -204,10 +212,12 @@ class LaplacianParameters(Stage):
         section="4.3",
         choices=("energy", "rows", "pseudo-inverse"),
     )
-    steps: int = parameter(
+    cg_iterations: int = parameter(
         1, "preconditioned conjugate-gradient steps of the depth deformation, point to plane", low=1, high=50
     )
-    prune: float = parameter(10.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0)
+    max_correspondence_distance: float = parameter(
+        10.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0
+    )
     final_w2: float = parameter(
         5.0,
         "smoothing of the final deformation, which sees the 2D features only",
@@ -289,6 +299,7 @@ class AdaptivePcaParameters(Stage):
             )
 
 
+@renamed
 @dataclass(frozen=True)
 class FusionParameters(Stage):
     """Section 3: registration of the neutral depth frames and their volumetric integration."""
@@ -309,7 +320,9 @@ class FusionParameters(Stage):
     )
     iterations: int = parameter(20, "most ICP steps for one frame", section="3", low=1, high=100)
     icp_points: int = parameter(6000, "model points used by ICP", section="3", low=500, high=100000)
-    prune: float = parameter(25.0, "correspondences farther away are dropped", unit="mm", section="3", low=1, high=200)
+    max_correspondence_distance: float = parameter(
+        25.0, "correspondences farther away are dropped", unit="mm", section="3", low=1, high=200
+    )
     normal_angle: float = parameter(
         40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
     )
@@ -325,6 +338,7 @@ class FusionParameters(Stage):
     min_views: float = parameter(2.0, "scan points need this much accumulated view weight", section="3", low=0, high=100)
 
 
+@renamed
 @dataclass(frozen=True)
 class FitParameters(Stage):
     """Section 3: rigid pose and identity coefficients on the merged scan."""
@@ -357,7 +371,7 @@ class FitParameters(Stage):
         high=50,
         log=True,
     )
-    reach: float = parameter(
+    max_correspondence_distance: float = parameter(
         20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1, high=200
     )
     normal_angle: float = parameter(
@@ -365,6 +379,7 @@ class FitParameters(Stage):
     )
 
 
+@renamed
 @dataclass(frozen=True)
 class ShrinkWrapParameters(Stage):
     """Section 3: non-rigid ICP for what the identity modes cannot hold (Li et al. 2009)."""
@@ -401,12 +416,15 @@ class ShrinkWrapParameters(Stage):
     )
     detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)
     detail_smoothness: float = parameter(1.0, "smoothness of the fine step", section="3", low=1e-4, high=1e4, log=True)
-    reach: float = parameter(8.0, "correspondences farther away are dropped", unit="mm", section="3", low=0.5, high=100)
+    max_correspondence_distance: float = parameter(
+        8.0, "correspondences farther away are dropped", unit="mm", section="3", low=0.5, high=100
+    )
     normal_angle: float = parameter(
         40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
     )
 
 
+@renamed
 @dataclass(frozen=True)
 class RefinementParameters(Stage):
     """Detected 2D features, refined by how the neutral looks around them; not in the paper."""
@@ -415,7 +433,7 @@ class RefinementParameters(Stage):
     radius: float = parameter(6.0, "skin around a feature that is compared", unit="mm", low=2, high=15)
     spacing: float = parameter(2.0, "distance between the samples of that skin", unit="mm", low=0.5, high=5)
     deviation: float = parameter(0.9, "standard deviation of the detector's error", unit="mm", low=0.1, high=10, log=True)
-    alike: float = parameter(15.0, "distance over which the detector errs alike", unit="mm", low=1, high=100)
+    correlation_length: float = parameter(15.0, "distance over which the detector errs alike", unit="mm", low=1, high=100)
     noise: float = parameter(4.0, "a patch fits no better than this", unit="%", low=0.5, high=50, log=True)
     rounds: int = parameter(3, "Gauss-Newton rounds at each blur", low=1, high=20)
 

@@ -13,6 +13,7 @@ from .errors import FileFormatError
 from .files import blocks
 from .npz import Field, check_indices, load_checked, write_npz
 from .parameters import Parameters
+from .renamed import renamed
 from .result_access import ResultAccess
 from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows, row_type
 from .tracking.held_out import HeldOut, describe, warn
@@ -72,16 +73,20 @@ _HEAD_FIELDS = {
 }
 _HEAD_FIELDS |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 
+#: What the file calls ``head_pose``.
+POSE = "rigid"
+
 #: How everything that people read calls a result that was tracked without depth.
 COLOUR_ONLY = "colour only: no depth, degraded"
 
 
+@renamed
 @dataclass(frozen=True, repr=False)
 class Result(ResultAccess):
     """A tracked performance of F frames, N vertices, A expressions, S stages; one entry per frame of the source.
 
     vertices (F, N, 3) float32: final mesh v4 in the camera frame, mm; v1, v2, v3 likewise, or None; triangles (T, 3)
-    int32; frontal (N,) bool; timestamps (F,) s; rigid (F, 4, 4) head to camera; coefficients (F, A) re-solved and
+    int32; frontal (N,) bool; timestamps (F,) s; head_pose (F, 4, 4) head to camera; coefficients (F, A) re-solved and
     coefficients_initial (F, A); expression_names (A,); feature_vertices, feature_ids (40,); corrective_updates (F,) PCA
     updates so far; sample_state (F,) of :class:`SampleState`; residual, anchor_distance, adaptive_distance (F,) mm;
     stage_ms (F, S), stage_names (S,); parameters: JSON of every parameter.
@@ -105,7 +110,7 @@ class Result(ResultAccess):
     tracked: np.ndarray
     skipped: np.ndarray
     timestamps: np.ndarray
-    rigid: np.ndarray
+    head_pose: np.ndarray
     coefficients: np.ndarray
     coefficients_initial: np.ndarray
     expression_names: tuple[str, ...]
@@ -166,6 +171,7 @@ class Result(ResultAccess):
     def save(self, path: str | os.PathLike) -> None:
         """Write ``result.npz`` (uncompressed: coordinates hardly shrink), whole or not at all."""
         arrays = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        arrays[POSE] = arrays.pop("head_pose")
         if self.held_out is None:
             del arrays["held_out_regions"]
         write_npz(path, {name: value for name, value in arrays.items() if value is not None})
@@ -260,7 +266,7 @@ class ResultBuilder:
         if frame.tracked:
             row |= dict(
                 vertices=frame.vertices,
-                rigid=frame.rigid,
+                rigid=frame.head_pose,
                 coefficients=frame.coefficients,
                 coefficients_initial=frame.coefficients_initial,
                 sample_state=int(frame.sample_state),
@@ -339,6 +345,7 @@ def _as_attributes(data: dict) -> dict:
         data[name] = tuple(str(text) for text in data.get(name, ()))
     if not data["held_out_regions"]:
         data.pop("held_out", None)
+    data["head_pose"] = data.pop(POSE)
     data["parameters"] = str(data["parameters"])
     data["colour_only"], data["mirrored"] = (bool(data.get(name, False)) for name in ("colour_only", "mirrored"))
     data["turned"] = int(data.get("turned", 0)) % 4

@@ -11,6 +11,7 @@ import numpy as np
 from .errors import MissingExtraError, ParameterError
 from .mesh import transform_points
 from .polydata import correctives, surface
+from .renamed import renamed
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -18,11 +19,12 @@ if TYPE_CHECKING:
     from .polydata import PolyData
 
 
+@renamed
 @dataclass(frozen=True, repr=False)
 class ResultFrame:
     """One frame of a result, ``result[index]``.
 
-    index; timestamp s; tracked: the face was tracked in this frame; reason: why not, or "". rigid (4, 4) head to camera,
+    index; timestamp s; tracked: the face was tracked in this frame; reason: why not, or "". head_pose (4, 4) head to camera,
     mm. camera_vertices (N, 3) mm: the final mesh v4 in the camera frame (x right, y down, z forward). coefficients (A,) by
     ``expression_names``. Arrays of a frame that is not tracked are those of the last tracked one.
     """
@@ -31,7 +33,7 @@ class ResultFrame:
     timestamp: float
     tracked: bool
     reason: str
-    rigid: np.ndarray
+    head_pose: np.ndarray
     camera_vertices: np.ndarray
     triangles: np.ndarray
     coefficients: np.ndarray
@@ -40,7 +42,7 @@ class ResultFrame:
     @property
     def head_vertices(self) -> np.ndarray:
         """(N, 3) float64 mm: v4 in the head frame (x to the subject's left, y up, z out of the face)."""
-        return to_head(self.rigid, self.camera_vertices)
+        return to_head(self.head_pose, self.camera_vertices)
 
     @property
     def curves(self) -> dict[str, float]:
@@ -52,9 +54,9 @@ class ResultFrame:
         return f"ResultFrame({self.index}, {self.timestamp:.3f} s, {state})"
 
 
-def to_head(rigid: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(N, 3) float64 mm in the head frame of vertices (N, 3) mm in the camera frame; rigid (4, 4): head to camera."""
-    return transform_points(np.linalg.inv(np.asarray(rigid, float)), np.asarray(vertices, float))
+def to_head(head_pose: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """(N, 3) float64 mm in the head frame of vertices (N, 3) mm in the camera frame; head_pose (4, 4): head to camera."""
+    return transform_points(np.linalg.inv(np.asarray(head_pose, float)), np.asarray(vertices, float))
 
 
 class ResultAccess:
@@ -64,7 +66,7 @@ class ResultAccess:
         timestamps: np.ndarray
         tracked: np.ndarray
         reasons: tuple[str, ...]
-        rigid: np.ndarray
+        head_pose: np.ndarray
         vertices: np.ndarray
         triangles: np.ndarray
         coefficients: np.ndarray
@@ -96,7 +98,7 @@ class ResultAccess:
             float(self.timestamps[index]),
             bool(self.tracked[index]),
             self.reasons[index],
-            self.rigid[index],
+            self.head_pose[index],
             self.vertices[index],
             self.triangles,
             self.coefficients[index],
@@ -125,7 +127,7 @@ class ResultAccess:
 
         All at once: of a long take ask frame by frame, ``result[i].head_vertices``.
         """
-        return np.stack([to_head(m, v) for m, v in zip(self.rigid, self.vertices, strict=True)])
+        return np.stack([to_head(m, v) for m, v in zip(self.head_pose, self.vertices, strict=True)])
 
     def mesh(self, frame: int, stage: str = "v4", reference: np.ndarray | str = "v1") -> PolyData:
         """One frame's mesh for pyvista.
@@ -172,7 +174,7 @@ class ResultAccess:
         mesh = meshes[stage]
         if mesh is None:
             raise ParameterError(f"stage {stage!r} is not in this result: track with --keep-stages")
-        return to_head(self.rigid[index], mesh[index])
+        return to_head(self.head_pose[index], mesh[index])
 
     def curves(self, initial: bool = False, gaps: bool = False) -> DataFrame:
         """The coefficients as a table: a row per frame, a column per expression, the time as index.
@@ -221,7 +223,7 @@ _PER_FRAME = frozenset(
         "tracked",
         "skipped",
         "timestamps",
-        "rigid",
+        "head_pose",
         "coefficients",
         "coefficients_initial",
         "corrective_updates",

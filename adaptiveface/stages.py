@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 from .errors import ParameterError
+from .renamed import OLD_NAMES, warn
 
 
 def parameter(default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None):
@@ -92,11 +93,13 @@ class StageSet:
         stages: dict[str, dict[str, Any]] = {}
         known = {s.name: [f.name for f in fields(getattr(self, s.name))] for s in fields(self)}
         for key, value in values.items():
-            stage, _, name = key.replace("__", ".").partition(".")
+            stage, _, name = (current := self.current_name(key)).partition(".")
             if stage not in known:
                 raise ParameterError(f"unknown stage '{stage}' in '{key}'; stages: {', '.join(known)}")
             if name not in known[stage]:
                 raise ParameterError(f"unknown parameter '{key}'; {stage} has: {', '.join(known[stage])}")
+            if current != key.replace("__", "."):
+                warn(key, current)
             stages.setdefault(stage, {})[name] = value
         return dataclasses.replace(self, **{s: dataclasses.replace(getattr(self, s), **v) for s, v in stages.items()})
 
@@ -120,12 +123,25 @@ class StageSet:
         stages = cls.stored(text)
         return cls().set(**{f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()})
 
-    @staticmethod
-    def stored(text: str) -> dict[str, dict[str, Any]]:
-        """The values in a JSON of :meth:`to_json` by stage and name, unchecked; raises :class:`ParameterError`."""
+    @classmethod
+    def current_name(cls, name: str) -> str:
+        """Today's "stage.name" of a parameter, also named ``stage__name`` or as an earlier version called it."""
+        stage, _, old = name.replace("__", ".").partition(".")
+        kinds = {entry.name: _kind(entry).__name__ for entry in fields(cls)}
+        return f"{stage}.{OLD_NAMES.get(kinds.get(stage, ''), {}).get(old, old)}"
+
+    @classmethod
+    def stored(cls, text: str) -> dict[str, dict[str, Any]]:
+        """The values in a JSON of :meth:`to_json` by stage and name, unchecked; raises :class:`ParameterError`.
+
+        Names of an earlier version are today's here.
+        """
         try:
             stages = json.loads(text)
-            return {stage: dict(values.items()) for stage, values in stages.items()}
+            return {
+                stage: {cls.current_name(f"{stage}.{name}").partition(".")[2]: value for name, value in values.items()}
+                for stage, values in stages.items()
+            }
         except (json.JSONDecodeError, AttributeError) as error:
             raise ParameterError(f"not a JSON object of parameters: {error}") from None
 

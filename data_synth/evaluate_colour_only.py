@@ -89,9 +89,9 @@ def _score(sensor, frames, actor, colour_only: bool) -> np.ndarray:
             continue
         whole.add(tracked)
         if tracked.tracked:  # the same expression on the true pose
-            pose = sensor.ground_truth(frame.index).rigid @ face.alignment
+            pose = sensor.ground_truth(frame.index).head_pose @ face.alignment
             meshes = {stage: transform_points(pose, getattr(tracked, stage)) for stage in face.stages}
-            face.score(frame.index, tracked.rigid, meshes)
+            face.score(frame.index, tracked.head_pose, meshes)
     whole, face = whole.finish(), face.finish()
     lips = face.region_error("v4", "lips", None)
     turn = np.percentile(whole.pose_angle, [50, 95])

@@ -114,7 +114,7 @@ class Run:
         tracked = self.tracker.track(frame)
         if frame.index < self.neutral:
             if tracked.tracked:
-                self.poses.append((tracked.rigid, self.sensor.ground_truth(frame.index).rigid))
+                self.poses.append((tracked.head_pose, self.sensor.ground_truth(frame.index).head_pose))
             return
         if not self.collectors:
             placed = tracked_alignment(*(np.array(poses) for poses in zip(*self.poses, strict=True)))

@@ -61,8 +61,8 @@ def measured(sensor: SyntheticSensor, detector: FeatureDetector) -> tuple[np.nda
         frame, truth = sensor.read(int(index)), sensor.ground_truth(int(index))
         for face in detector.detect_faces(frame.colour)[:1]:
             features = Features2D(face.mesh[MEDIAPIPE_INDICES, :2], np.full(len(MEDIAPIPE_INDICES), 0.3), face)
-            skin = transform_points(np.linalg.inv(truth.rigid), truth.vertices)
-            found.append(estimator.measure(skin, truth.rigid, frame.camera, features).mean(axis=0))
+            skin = transform_points(np.linalg.inv(truth.head_pose), truth.vertices)
+            found.append(estimator.measure(skin, truth.head_pose, frame.camera, features).mean(axis=0))
             ahead = np.mean([turn[:, 2] for turn in sensor._gaze(truth.activations)], axis=0)
             true.append([np.arctan2(ahead[0], ahead[2]), np.arcsin(ahead[1] / np.linalg.norm(ahead))])
     known = np.isfinite(found).all(axis=1)

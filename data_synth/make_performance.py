@@ -40,10 +40,8 @@ def make_performance(
         for index in tqdm(range(len(sensor)), desc=sensor.name, unit="frame", disable=not progress):
             writer.write(sensor.read(index))
             truths.append(sensor.ground_truth(index))
-    arrays = {
-        name: np.array([getattr(truth, name) for truth in truths], np.float32)
-        for name in ("vertices", "rigid", "activations", "features")
-    }
+    names = {"vertices": "vertices", "rigid": "head_pose", "activations": "activations", "features": "features"}
+    arrays = {key: np.array([getattr(truth, name) for truth in truths], np.float32) for key, name in names.items()}
     arrays["performance"] = np.array([truth.performance for truth in truths], np.int8)
     arrays["neutral"] = performer.neutral.astype(np.float32)
     arrays["triangles"] = performer.triangles.astype(np.int32)

@@ -23,7 +23,7 @@ def observe(sensor: SyntheticSensor, indices, cache: Path | None = None) -> dict
     for index in indices:
         colour, truth = sensor.read(index).colour, sensor.ground_truth(index)
         for face in detector.detect_faces(colour)[:1]:
-            values = index, face.mesh, face.scores, np.float32(truth.vertices), truth.rigid
+            values = index, face.mesh, face.scores, np.float32(truth.vertices), truth.head_pose
             for name, value in zip(rows, values, strict=True):
                 rows[name].append(value)
     detector.close()

@@ -49,7 +49,7 @@ def stages(actor, results, sensor) -> None:
     u, v, right, bottom = frame.features.bounding_box.astype(int) + [-45, -75, 45, 45]
     axes[0].imshow(frame.colour[max(v, 0) : bottom, max(u, 0) : right])
     axes[0].set_title("colour image")
-    straight = transform_points(np.linalg.inv(best.rigid), truth)
+    straight = transform_points(np.linalg.inv(best.head_pose), truth)
     axes[1].imshow(on_backdrop(portraits.draw(straight), GREY))
     axes[1].set_title("true surface")
     for axis, name, what in zip(

@@ -237,9 +237,9 @@ def judge(stage: Stage, script: Script, results: list) -> Outcome:
 
 def same_head(a: TrackedFrame, b: TrackedFrame) -> bool:
     """Whether both are tracked, at the same place."""
-    turn = a.rigid[:3, :3].T @ b.rigid[:3, :3]
+    turn = a.head_pose[:3, :3].T @ b.head_pose[:3, :3]
     angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-    near = np.linalg.norm(a.rigid[:3, 3] - b.rigid[:3, 3]) < NEAR_MM
+    near = np.linalg.norm(a.head_pose[:3, 3] - b.head_pose[:3, 3]) < NEAR_MM
     return bool(a.tracked and b.tracked and near and angle < NEAR_DEGREES)
 
 

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
 #: From the ground up, as docs/architecture.md has them.
 FLOORS = (
     (
-        *("errors", "files", "npz", "caches", "blas", "interrupt"),
+        *("errors", "renamed", "files", "npz", "caches", "blas", "interrupt"),
         *("stages", "parameters"),
         "timing",
         *("camera", "frame", "mesh", "polydata", "rendering", "painting", "appearance", "feature_set"),
@@ -35,7 +35,19 @@ FLOORS = (
 )
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 #: What tracking may take: arrays go in and come out.
-TRACKING = {"actor", "appearance", "camera", "frame", "mesh", "parameters", "errors", "blas", "caches", "registration"}
+TRACKING = {
+    "actor",
+    "appearance",
+    "camera",
+    "frame",
+    "mesh",
+    "parameters",
+    "errors",
+    "renamed",
+    "blas",
+    "caches",
+    "registration",
+}
 
 
 def place(path: Path) -> str:

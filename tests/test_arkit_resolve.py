@@ -45,7 +45,7 @@ def scene():
             row[ARKIT_NAMES.index(name)] = value
     units = truth[:, [ARKIT_NAMES.index(name) for name in model.expression_names]]
     v4 = actor.neutral + np.tensordot(units, shapes, axes=1)
-    vertices = [transform_points(m.astype(float), v) for m, v in zip(result.rigid, v4, strict=True)]
+    vertices = [transform_points(m.astype(float), v) for m, v in zip(result.head_pose, v4, strict=True)]
     return actor, replace(result, vertices=np.array(vertices, np.float32)), truth
 
 

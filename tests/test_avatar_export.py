@@ -175,7 +175,7 @@ def test_times_are_those_of_the_performance(tmp_path, performance):
 
 @pytest.mark.parametrize("frames", [1, 2])
 def test_short_takes(tmp_path, performance, modules, frames):
-    short = Performance(performance.curves[:frames], performance.timestamps[:frames], performance.rigid[:frames])
+    short = Performance(performance.curves[:frames], performance.timestamps[:frames], performance.head_pose[:frames])
     path = avatar().save(tmp_path / "a.glb")
     Avatar(path).write(tmp_path / "out.glb", short)
     before, after = web.validation(modules, path, tmp_path / "out.glb")
@@ -272,7 +272,7 @@ def test_a_head_without_bones_turns_about_itself_and_moves(tmp_path, performance
     turn = Rotation.from_quat(moved["", "rotation"]).as_matrix()
     np.testing.assert_allclose(turn, turns(performance.timestamps), atol=1e-6)
     places = turn @ middle + moved["", "translation"]  # of the head's middle
-    path = performance.rigid[:, :3, 3] * [1e-3, -1e-3, -1e-3]
+    path = performance.head_pose[:, :3, 3] * [1e-3, -1e-3, -1e-3]
     np.testing.assert_allclose(places - middle, path - np.median(path, axis=0), atol=1e-6)
 
 
@@ -294,9 +294,9 @@ def test_of_a_figure_without_bones_only_the_head_turns(tmp_path, performance):
 def test_a_character_that_we_exported_performs_again(tmp_path, performance):
     """It rests in its first frame's pose, which neither its neutral nor the next performance may have in it."""
     hag = load_character("hag")
-    tilted = performance.rigid.copy()
-    tilted[:, :3, :3] = performance.rigid[:1, :3, :3] @ Rotation.from_euler("y", 30, degrees=True).as_matrix()
-    write_glb(tmp_path / "hag.glb", character_animation(hag, replace(performance, rigid=tilted)))
+    tilted = performance.head_pose.copy()
+    tilted[:, :3, :3] = performance.head_pose[:1, :3, :3] @ Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    write_glb(tmp_path / "hag.glb", character_animation(hag, replace(performance, head_pose=tilted)))
     again = load_character(tmp_path / "hag.glb")
     np.testing.assert_allclose(again.neutral - again.neutral.mean(0), hag.neutral - hag.neutral.mean(0), atol=0.01)
     Avatar(tmp_path / "hag.glb").write(tmp_path / "out.glb", performance)

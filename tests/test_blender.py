@@ -34,7 +34,7 @@ def meshes(scene):
 
 def centred(vertices: np.ndarray, mesh) -> np.ndarray:
     """(V, 3) m of vertices (V, 3) mm in the view frame, the median place of the head at the origin."""
-    return 1e-3 * (vertices - np.median(mesh.rigid[:, :3, 3], axis=0))
+    return 1e-3 * (vertices - np.median(mesh.head_pose[:, :3, 3], axis=0))
 
 
 def test_weights_stay_where_sliders_end(scene, meshes):

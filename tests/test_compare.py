@@ -26,7 +26,7 @@ def scene(tmp_path_factory):
     actor.save(folder / "actor.npz")
     result.save(folder / "result.npz")
     performance, neutral = np.array([-1, 0, 0, 0, 1, 1], np.int8), actor.neutral.astype(np.float32)
-    truth = dict(vertices=result.vertices, rigid=result.rigid, neutral=neutral, performance=performance)
+    truth = dict(vertices=result.vertices, rigid=result.head_pose, neutral=neutral, performance=performance)
     np.savez(folder / "ground_truth.npz", **truth)
     return folder, actor, result
 

@@ -103,7 +103,7 @@ def test_regions_are_disjoint_frontal_and_symmetric():
 @dataclass
 class Truth:
     vertices: np.ndarray
-    rigid: np.ndarray
+    head_pose: np.ndarray
     performance: int
 
 
@@ -196,7 +196,7 @@ def test_a_slid_cheek_moves_no_lip_where_the_neutral_frames_place_the_head(senso
     slid[slid[:, 1] < np.percentile(slid[sensor.model.frontal, 1], 30)] += [4.0, 0.0, 0.0]
     actor = actor_of(sensor.model, slid)
     frames = [tracked(i, sensor.rigid(i), slid + a * sensor.smile) for i, a in enumerate(sensor.amount)]
-    poses, true = np.array([frame.rigid for frame in frames[:2]]), np.array([sensor.rigid(i) for i in range(2)])
+    poses, true = np.array([frame.head_pose for frame in frames[:2]]), np.array([sensor.rigid(i) for i in range(2)])
     results = {}
     for name, alignment in (("vertices", None), ("frames", ev.tracked_alignment(poses, true))):
         collector = ev.ErrorCollector(sensor, actor, ("v4",), alignment)
@@ -240,7 +240,7 @@ def test_truth_of_a_file_equals_that_of_the_sensor(sensor, tmp_path):
     np.savez(
         path,
         vertices=np.float32([t.vertices for t in truths]),
-        rigid=np.float32([t.rigid for t in truths]),
+        rigid=np.float32([t.head_pose for t in truths]),
         performance=np.int32([t.performance for t in truths]),
     )
     truth = ev.GroundTruth.of(path)
@@ -256,7 +256,7 @@ def test_truth_of_the_synthetic_sensor():
     sensor = SyntheticSensor(1, neutral_frames=1, frames=2, repeats=2, colour=False)
     truth = ev.GroundTruth.of(sensor)
     assert [truth[i].performance for i in range(len(truth))] == [ev.NEUTRAL, ev.FIRST, ev.FIRST, ev.REPEAT, ev.REPEAT]
-    seen = transform_points(np.linalg.inv(truth[0].rigid), truth[0].vertices)
+    seen = transform_points(np.linalg.inv(truth[0].head_pose), truth[0].vertices)
     assert np.allclose(truth.neutral, seen, atol=1e-6)
     # without a neutral frame the performer's own neutral still serves
     no_neutral = SyntheticSensor(1, neutral_frames=0, frames=2, colour=False)

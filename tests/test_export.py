@@ -82,8 +82,8 @@ def test_glb_round_trip(files, name):
     np.testing.assert_allclose(again.targets, mesh.targets, atol=METRE)
     np.testing.assert_allclose(again.weights, mesh.weights, atol=CURVE)
     np.testing.assert_allclose(again.timestamps, mesh.timestamps, atol=CURVE)
-    np.testing.assert_allclose(again.rigid[:, :3, 3], mesh.rigid[:, :3, 3], atol=METRE)
-    np.testing.assert_allclose(again.rigid[:, :3, :3], mesh.rigid[:, :3, :3], atol=CURVE)
+    np.testing.assert_allclose(again.head_pose[:, :3, 3], mesh.head_pose[:, :3, 3], atol=METRE)
+    np.testing.assert_allclose(again.head_pose[:, :3, :3], mesh.head_pose[:, :3, :3], atol=CURVE)
     assert again.fps == pytest.approx(30, abs=0.01)
 
 
@@ -94,7 +94,7 @@ def test_glb_without_motion_or_shapes(tmp_path, files):
     still = replace(mesh, targets=mesh.targets[:0], target_names=(), weights=mesh.weights[:, :0])
     write_glb(tmp_path / "still.glb", still)
     assert read_glb_animation(tmp_path / "still.glb").weights.shape == (FRAMES, 0)
-    one = replace(mesh, weights=mesh.weights[:1], timestamps=mesh.timestamps[:1], rigid=mesh.rigid[:1])
+    one = replace(mesh, weights=mesh.weights[:1], timestamps=mesh.timestamps[:1], head_pose=mesh.head_pose[:1])
     write_glb(tmp_path / "one.glb", one)
     assert len(read_glb_animation(tmp_path / "one.glb")) == 1
 
@@ -119,7 +119,7 @@ def test_csv_round_trip(scene, tmp_path):
     again = read_arkit_csv(tmp_path / "curves.csv")
     np.testing.assert_allclose(again.curves, performance.curves, atol=CURVE)
     np.testing.assert_allclose(again.timestamps, performance.timestamps, atol=CURVE)
-    np.testing.assert_allclose(again.rigid[:, :3, :3], performance.rigid[:, :3, :3], atol=CURVE)
+    np.testing.assert_allclose(again.head_pose[:, :3, :3], performance.head_pose[:, :3, :3], atol=CURVE)
     lines = (tmp_path / "curves.csv").read_text().splitlines()
     assert lines[0].startswith("Timecode,BlendShapeCount,EyeBlinkLeft,EyeLookDownLeft") and len(HEADER) == 63
     assert lines[0].endswith(
@@ -150,10 +150,10 @@ def test_obj_sequence_round_trip(files, tmp_path):
     mesh = files[1]["baby"]
     from dataclasses import replace
 
-    short = replace(mesh, weights=mesh.weights[:3], timestamps=mesh.timestamps[:3], rigid=mesh.rigid[:3])
+    short = replace(mesh, weights=mesh.weights[:3], timestamps=mesh.timestamps[:3], head_pose=mesh.head_pose[:3])
     write_obj_sequence(tmp_path / "frames", short)
     vertices, triangles = read_obj_sequence(tmp_path / "frames")
-    centre = np.median(short.rigid[:, :3, 3], axis=0)
+    centre = np.median(short.head_pose[:, :3, 3], axis=0)
     expected = np.stack([short.shape(f, posed=True) - centre for f in range(3)])
     np.testing.assert_allclose(vertices, expected, atol=METRE)
     assert np.array_equal(triangles, mesh.triangles)
@@ -174,7 +174,7 @@ def test_usd_round_trip(files, tmp_path, suffix):
     np.testing.assert_allclose(again.neutral, mesh.neutral, atol=METRE)
     np.testing.assert_allclose(again.targets, mesh.targets, atol=METRE)
     np.testing.assert_allclose(again.weights, mesh.weights, atol=CURVE)
-    np.testing.assert_allclose(again.rigid, mesh.rigid, atol=METRE)
+    np.testing.assert_allclose(again.head_pose, mesh.head_pose, atol=METRE)
     stage = Usd.Stage.Open(str(path))
     cache = UsdSkel.Cache()
     root = UsdSkel.Root(stage.GetDefaultPrim())
@@ -485,7 +485,7 @@ def test_vmc_and_osc_messages(scene):
     frame = 12
     for index in (0, frame):
         x = result.coefficients[index].astype(float)
-        rigid = result.rigid[index].astype(float)
+        rigid = result.head_pose[index].astype(float)
         streamer.send(
             TrackedFrame(
                 index, index / 30, True, rigid, v4[index], v4[index], v4[index], v4[index], x, x, SampleState.LEARNED, 0
@@ -505,7 +505,7 @@ def test_vmc_and_osc_messages(scene):
     plain = received(listeners[1])
     pose = next(m[1] for m in plain if m[0] == "/adaptiveface/head")
     np.testing.assert_allclose(both * np.sign(both[3]), np.array([1, -1, -1, 1]) * pose[3:], atol=1e-6)  # Unity's axes
-    step = (result.rigid[frame] - result.rigid[0])[:3, 3] * [1e-3, -1e-3, -1e-3]
+    step = (result.head_pose[frame] - result.head_pose[0])[:3, 3] * [1e-3, -1e-3, -1e-3]
     np.testing.assert_allclose(pose[:3], step, atol=1e-6)
     assert sum(m[0] == "/adaptiveface/blendshape" for m in plain) == 52
     lost = TrackedFrame(9, 0.3, False, np.eye(4), v4[0], v4[0], v4[0], v4[0], x, x, SampleState.UNTRACKED, 0)

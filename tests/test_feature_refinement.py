@@ -33,7 +33,7 @@ def sensor() -> SyntheticSensor:
 @pytest.fixture(scope="module")
 def actor(sensor) -> Actor:
     plain = build_actor(sensor.performer.model, sensor.performer.neutral)
-    views = [(sensor.read(index), sensor.ground_truth(index).rigid) for index in range(0, NEUTRAL, 3)]
+    views = [(sensor.read(index), sensor.ground_truth(index).head_pose) for index in range(0, NEUTRAL, 3)]
     return replace(plain, appearance=gather_appearance(plain, views, PARAMETERS.refinement))
 
 
@@ -56,7 +56,7 @@ def refined(actor: Actor, frame: RgbdFrame, mesh: np.ndarray, pose: np.ndarray) 
 def head_mesh(sensor: SyntheticSensor, index: int) -> np.ndarray:
     """The true head of a frame in its own frame, mm."""
     truth = sensor.ground_truth(index)
-    return transform_points(np.linalg.inv(truth.rigid), truth.vertices)
+    return transform_points(np.linalg.inv(truth.head_pose), truth.vertices)
 
 
 def errors(features: Features2D, frame: RgbdFrame) -> np.ndarray:
@@ -76,7 +76,7 @@ def test_samples_lie_around_their_features_and_never_on_the_other_lip(actor):
 
 
 def test_without_colour_there_is_no_appearance(sensor, actor):
-    views = [(replace(sensor.read(0), colour=None), sensor.ground_truth(0).rigid)]
+    views = [(replace(sensor.read(0), colour=None), sensor.ground_truth(0).head_pose)]
     assert gather_appearance(actor, views, PARAMETERS.refinement) is None
 
 
@@ -130,7 +130,7 @@ def test_a_round_solves_shifts_and_light_of_all_patches_together():
 
 @pytest.mark.parametrize("index", [NEUTRAL + 10, NEUTRAL + 35])
 def test_misread_features_move_most_of_the_way_back(sensor, actor, index):
-    frame, mesh, pose = sensor.read(index), head_mesh(sensor, index), sensor.ground_truth(index).rigid
+    frame, mesh, pose = sensor.read(index), head_mesh(sensor, index), sensor.ground_truth(index).head_pose
     before, after = [], []
     for seed in range(6):
         wrong = misread(frame, seed)
@@ -147,7 +147,7 @@ def test_misread_features_move_most_of_the_way_back(sensor, actor, index):
 
 def test_a_darker_room_changes_little(sensor, actor):
     index = NEUTRAL + 10
-    frame, mesh, pose = misread(sensor.read(index)), head_mesh(sensor, index), sensor.ground_truth(index).rigid
+    frame, mesh, pose = misread(sensor.read(index)), head_mesh(sensor, index), sensor.ground_truth(index).head_pose
     darker = replace(frame, colour=(0.7 * frame.colour).astype(np.uint8))
     moved = refined(actor, darker, mesh, pose).pixels - refined(actor, frame, mesh, pose).pixels
     assert np.nanpercentile(np.linalg.norm(moved, axis=1), 90) < 0.4
@@ -156,7 +156,7 @@ def test_a_darker_room_changes_little(sensor, actor):
 def test_what_is_covered_stays_with_the_detector(sensor, actor):
     """A grey board over mouth and chin: lips keep to the detected pixels, and gain less confidence than in the open."""
     index = NEUTRAL + 10
-    frame, mesh, pose = misread(sensor.read(index)), head_mesh(sensor, index), sensor.ground_truth(index).rigid
+    frame, mesh, pose = misread(sensor.read(index)), head_mesh(sensor, index), sensor.ground_truth(index).head_pose
     lips = FEATURE_REGIONS == "lips"
     top = int(np.nanmin(frame.features.pixels[lips, 1])) - 8
     colour = frame.colour.copy()
@@ -171,7 +171,7 @@ def test_what_is_covered_stays_with_the_detector(sensor, actor):
 
 @pytest.mark.parametrize("shift", [(-700.0, 0.0), (0.0, 600.0), (-250.0, -150.0)])
 def test_features_outside_the_picture_do_no_harm(sensor, actor, shift):
-    frame, mesh, pose = misread(sensor.read(0)), head_mesh(sensor, 0), sensor.ground_truth(0).rigid
+    frame, mesh, pose = misread(sensor.read(0)), head_mesh(sensor, 0), sensor.ground_truth(0).head_pose
     outside = replace(frame.features, pixels=frame.features.pixels + shift)
     left = refined(actor, replace(frame, features=outside), mesh, pose)
     seen = outside.valid

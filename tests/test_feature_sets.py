@@ -142,8 +142,8 @@ def test_the_head_keeps_its_size_and_its_pose_while_the_mouth_opens(identity):
     tracker, angles = ColourTracker(build_actor(MODEL, head, identity=identity)), []
     for k, opening in enumerate(np.concatenate([np.linspace(0, 0.9, 12), np.full(12, 0.9), np.linspace(0.9, 0, 12)])):
         tracked = tracker.track(seen(head, expression(jawOpen=opening), pose, k, 0.4))
-        assert tracked.tracked and abs(tracked.rigid[2, 3] / pose[2, 3] - 1) < 0.05
-        angles.append(np.degrees(np.linalg.norm(tracked.rigid[:3, :3] - pose[:3, :3]) / np.sqrt(2)))
+        assert tracked.tracked and abs(tracked.head_pose[2, 3] / pose[2, 3] - 1) < 0.05
+        angles.append(np.degrees(np.linalg.norm(tracked.head_pose[:3, :3] - pose[:3, :3]) / np.sqrt(2)))
     assert max(angles) < 1.0
 
 

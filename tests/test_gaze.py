@@ -147,7 +147,7 @@ def test_a_frame_gives_its_gaze(scene):
     actor, pose = scene[0], head_pose()
     gaze = np.array([[0.1, 0.2], [0.1, 0.2]])
     frame = RgbdFrame(np.zeros((480, 640), np.float32), CAMERA, features=seen(actor, pose, gaze))
-    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, rigid=pose)
+    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, head_pose=pose)
     np.testing.assert_allclose(GazeTrack(actor).see(tracked, frame), gaze, atol=1e-6)
     lost = SimpleNamespace(tracked=False)
     np.testing.assert_array_equal(GazeTrack(actor).see(lost, frame), 0)
@@ -165,7 +165,7 @@ def test_irises_are_found_beside_features_that_come_without(scene):
     frame = source.read(0)
     assert source.name == "take" and frame.features.pixels is bare.features.pixels
     np.testing.assert_allclose(frame.features.irises, known.iris_centres)  # that the detector is off by pixels does not count
-    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, rigid=pose)
+    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, head_pose=pose)
     np.testing.assert_allclose(GazeTrack(actor).see(tracked, frame), gaze, atol=1e-6)
     colourless = replace(bare, colour=None)
     assert WithIrises(SimpleNamespace(read=lambda index: colourless), detector).read(0) is colourless
@@ -189,7 +189,7 @@ def test_a_stream_looks_where_the_irises_do(scene, monkeypatch):
     actor, pose = scene[0], head_pose()
     gaze = np.array([[0.3, -0.1], [0.3, -0.1]])
     frame = RgbdFrame(np.zeros((480, 640), np.float32), CAMERA, features=seen(actor, pose, gaze))
-    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, rigid=pose, timestamp=0.0, coefficients=np.zeros(23))
+    tracked = SimpleNamespace(tracked=True, v4=actor.neutral, head_pose=pose, timestamp=0.0, coefficients=np.zeros(23))
     streamer = Streamer(actor)
     streamer.send(tracked)
     streamer.send(tracked, frame)

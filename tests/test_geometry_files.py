@@ -40,7 +40,7 @@ def centred(mesh, frame: int) -> np.ndarray:
 @pytest.mark.parametrize("unit", tuple(UNITS))
 def test_sequence_comes_back_in_millimetres_from_any_unit(meshes, tmp_path, unit):
     mesh = meshes["hag"]
-    short = replace(mesh, weights=mesh.weights[:3], timestamps=mesh.timestamps[:3], rigid=mesh.rigid[:3])
+    short = replace(mesh, weights=mesh.weights[:3], timestamps=mesh.timestamps[:3], head_pose=mesh.head_pose[:3])
     write_obj_sequence(tmp_path / "frames", short, unit)
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == [
         "face_00000.obj",
@@ -91,7 +91,7 @@ def test_caches_have_one_sample_for_every_frame_of_the_rate(meshes, tmp_path):
     """Two frames are missing: the samples between stand for them."""
     mesh = meshes["hag"]
     keep = np.r_[0:5, 7:24]
-    gappy = replace(mesh, weights=mesh.weights[keep], timestamps=mesh.timestamps[keep], rigid=mesh.rigid[keep])
+    gappy = replace(mesh, weights=mesh.weights[keep], timestamps=mesh.timestamps[keep], head_pose=mesh.head_pose[keep])
     write_point_cache(tmp_path / "g.pc2", gappy, "mm")
     again = read_point_cache(tmp_path / "g.pc2")
     assert len(again) == 24

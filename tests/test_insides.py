@@ -200,11 +200,11 @@ def test_usd_carries_the_parts_and_is_read_as_before(scene, tmp_path):
 
 def test_obj_and_caches_have_the_parts_behind_the_skin(scene, tmp_path):
     _, _, plain, whole = scene
-    short = [replace(m, weights=m.weights[:2], timestamps=m.timestamps[:2], rigid=m.rigid[:2]) for m in (plain, whole)]
+    short = [replace(m, weights=m.weights[:2], timestamps=m.timestamps[:2], head_pose=m.head_pose[:2]) for m in (plain, whole)]
     inside = whole.inside
     short[1] = replace(
         short[1],
-        inside=replace(inside, weights=inside.weights[:2], timestamps=inside.timestamps[:2], rigid=inside.rigid[:2]),
+        inside=replace(inside, weights=inside.weights[:2], timestamps=inside.timestamps[:2], head_pose=inside.head_pose[:2]),
     )
     n = len(plain.neutral)
     meshes = []

@@ -141,7 +141,7 @@ def feature_error(session: Session, results: list, stage: str) -> float:
     """Mean over the frames of the median distance between the model's and the measured features, pixels."""
     errors = []
     for frame, result in zip(session.frames, results, strict=False):
-        points = model_features(session, getattr(result, stage), result.rigid)
+        points = model_features(session, getattr(result, stage), result.head_pose)
         distances = np.linalg.norm(frame.camera.project(points) - frame.features.pixels, axis=1)
         errors.append(np.nanmedian(distances))
     return float(np.mean(errors))

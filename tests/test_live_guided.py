@@ -152,7 +152,7 @@ def test_the_sensors_neutral_frames_make_the_head(sensor):
     assert {"close your mouth", "keep your eyes open"} <= set(warned)
     assert guide.vertex_coverage[guide.model.frontal].mean() > 0.9 and guide.vertex_coverage.max() == 1.0
     actor, truth = guide.build(), sensor.ground_truth(0)
-    head = transform_points(np.linalg.inv(truth.rigid), truth.vertices)[: len(actor.neutral)][actor.frontal]
+    head = transform_points(np.linalg.inv(truth.head_pose), truth.vertices)[: len(actor.neutral)][actor.frontal]
     found = actor.neutral[actor.frontal]
     pose = rigid_alignment(found, head)
     assert np.median(np.linalg.norm(transform_points(pose, found) - head, axis=1)) < 3.0

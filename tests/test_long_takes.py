@@ -270,7 +270,7 @@ many = {entry.name: getattr(result, entry.name)[index] for entry in dataclasses.
 dataclasses.replace(result, reasons=("",) * len(index), **many).save(sys.argv[2])
 del many
 result = Result.load(sys.argv[2])
-actor_animation(dataclasses.replace(result, vertices=result.vertices[:600], rigid=result.rigid[:600],
+actor_animation(dataclasses.replace(result, vertices=result.vertices[:600], head_pose=result.head_pose[:600],
                 coefficients=result.coefficients[:600], timestamps=np.arange(600) / 30), actor)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 print(len(actor_animation(result, actor)), (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)

@@ -42,13 +42,13 @@ def performer(request):
 def in_true_head(capture, sensor, points):
     """Points of the actor's head frame in the performer's own head frame, through the registered middle frame."""
     k = len(capture.scan.frames) // 2
-    rigid = sensor.ground_truth(int(capture.scan.frames[k])).rigid
+    rigid = sensor.ground_truth(int(capture.scan.frames[k])).head_pose
     return transform_points(np.linalg.inv(rigid) @ capture.scan.poses[k], points)
 
 
 def true_neutral(sensor):
     truth = sensor.ground_truth(0)
-    return transform_points(np.linalg.inv(truth.rigid), truth.vertices)
+    return transform_points(np.linalg.inv(truth.head_pose), truth.vertices)
 
 
 def test_the_personal_neutral_lies_on_the_true_surface(performer):
@@ -73,7 +73,7 @@ def test_the_personal_neutral_lies_on_the_true_surface(performer):
 def test_every_frame_is_registered(performer):
     sensor, _, capture = performer
     assert capture.scan.frames.tolist() == list(range(FRAMES))
-    truth = [sensor.ground_truth(i).rigid for i in range(FRAMES)]
+    truth = [sensor.ground_truth(i).head_pose for i in range(FRAMES)]
     to_head = [np.linalg.inv(t) @ pose for t, pose in zip(truth, capture.scan.poses, strict=True)]
     # One constant transformation leads from the actor's head frame to the performer's, up to the registration error.
     points, middle = capture.scan.points, transform_points(to_head[0], capture.scan.points)

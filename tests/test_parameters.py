@@ -1,13 +1,15 @@
 """One source of truth: defaults, ranges, the paper's values, text and JSON."""
 
 import dataclasses
+import importlib
 import json
 
 import pytest
 
 import adaptiveface
 from adaptiveface.errors import ParameterError
-from adaptiveface.parameters import Parameters, describe
+from adaptiveface.parameters import FitParameters, Parameters, describe
+from adaptiveface.renamed import OLD_NAMES, OLD_OBJECTS
 
 
 def test_paper_values_are_the_printed_ones():
@@ -18,7 +20,7 @@ def test_paper_values_are_the_printed_ones():
     assert (paper.adaptive_pca.K, paper.adaptive_pca.S, paper.adaptive_pca.em_steps) == (7, 200, 2)
     assert (paper.adaptive_pca.valid_min, paper.adaptive_pca.valid_max) == (1.0, 100.0)
     assert paper.adaptive_pca.startup == "full-buffer"
-    assert (paper.rigid.prune, paper.rigid.lost, paper.depth.crop) == (25.0, 3.0, 200)
+    assert (paper.rigid.max_correspondence_distance, paper.rigid.max_residual, paper.depth.crop) == (25.0, 3.0, 200)
     assert (paper.kalman.process_noise, paper.kalman.measurement_noise) == (0.05, 0.02)
 
 
@@ -89,3 +91,55 @@ def test_public_names_resolve():
         assert getattr(adaptiveface, name) is not None
     with pytest.raises(AttributeError):
         adaptiveface.no_such_name  # noqa: B018
+
+
+KINDS = {type(getattr(Parameters(), entry.name)).__name__: entry.name for entry in dataclasses.fields(Parameters)}
+OLD_PARAMETERS = [(stage, *pair) for kind, stage in KINDS.items() for pair in OLD_NAMES.get(kind, {}).items()]
+
+
+@pytest.mark.parametrize("stage, old, new", OLD_PARAMETERS)
+def test_old_names_of_parameters_work_with_a_warning(stage, old, new):
+    row = next(row for row in describe() if (row["stage"], row["name"]) == (stage, new))
+    value = type(row["default"])(row["low"])
+    with pytest.warns(DeprecationWarning, match=new):
+        changed = Parameters().set(**{f"{stage}.{old}": value})
+    assert changed == Parameters().set(**{f"{stage}__{new}": value})
+    with pytest.warns(DeprecationWarning, match=new):
+        assert getattr(getattr(changed, stage), old) == value
+    with pytest.warns(DeprecationWarning, match=f"{old}.* is now called {new}"):
+        assert type(getattr(changed, stage))(**{old: value}) == getattr(changed, stage)
+
+
+@pytest.mark.filterwarnings("error")
+def test_files_of_an_earlier_version_keep_their_parameters_without_a_warning():
+    today = Parameters().set(rigid__max_residual=2.0, blendshapes__vertex_stride=5, laplacian__cg_iterations=4)
+    names = {(stage, new): old for stage, old, new in OLD_PARAMETERS}
+    stages = json.loads(today.to_json())
+    earlier = {s: {names.get((s, name), name): v for name, v in values.items()} for s, values in stages.items()}
+    assert earlier["rigid"]["lost"] == 2.0 and "max_residual" not in earlier["rigid"]
+    assert Parameters.from_json(json.dumps(earlier)) == today
+    assert Parameters.stored(json.dumps(earlier)) == stages
+
+
+def test_old_names_of_attributes_and_keywords_work_with_a_warning():
+    from adaptiveface.tracking.types import TrackedFrame
+
+    arrays = dict.fromkeys(("v1", "v2", "v3", "v4", "coefficients_initial", "coefficients"), None)
+    with pytest.warns(DeprecationWarning, match="head_pose"):
+        frame = TrackedFrame(0, 0.0, True, rigid="pose", **arrays, sample_state=0, corrective_updates=0)
+    with pytest.warns(DeprecationWarning, match="TrackedFrame.rigid is now called head_pose"):
+        assert frame.rigid == frame.head_pose == "pose"
+    with pytest.warns(DeprecationWarning, match="head_pose"):
+        assert dataclasses.replace(frame, rigid="other").head_pose == "other"
+    assert not {old for names in OLD_NAMES.values() for old in names} & {entry.name for entry in dataclasses.fields(frame)}
+
+
+def test_old_names_of_classes_work_with_a_warning():
+    for module, names in OLD_OBJECTS.items():
+        for old, (home, new) in names.items():
+            with pytest.warns(DeprecationWarning, match=new):
+                found = getattr(importlib.import_module(module), old)
+            assert found is getattr(importlib.import_module(home), new)
+            with pytest.raises(AttributeError, match="no attribute"):
+                getattr(importlib.import_module(module), f"{old}Nobody")
+    assert FitParameters().max_correspondence_distance == 20.0

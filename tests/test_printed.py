@@ -203,7 +203,7 @@ def test_plain_rigid_icp_ends_after_the_step_that_comes_below_3_mm(actor):
         surface, pose, steps = whole_surface(frame), start, 0
         while True:
             points = transform_points(pose, shape)
-            matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, paper.prune)
+            matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, paper.max_correspondence_distance)
             matched, centre = matches.weights > 0, transform_points(pose, shape.mean(axis=0))
             if steps and np.abs(matches.distances[matched]).mean() < 3.0:
                 break
@@ -240,7 +240,7 @@ def test_the_bounded_fit_minimises_equations_1_and_2(actor):
     normals = vertex_normals(actor.neutral, actor.triangles)[used]
     _, x = fit.fit(surface, frame.features, CAMERA, pose, np.zeros(23), normals)
     points = transform_points(pose, actor.neutral[used])
-    matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, paper.prune)
+    matches = find_correspondences(surface, points, normals @ pose[:3, :3].T, paper.max_correspondence_distance)
     matched = matches.weights > 0
     directions = (matches.normals @ pose[:3, :3])[matched]
     rows = [np.einsum("nd,and->na", directions, actor.blendshapes[:23][:, used][:, matched])]

@@ -55,7 +55,7 @@ def face_points(recording: Recording, result: Result, index: int) -> np.ndarray:
     frame = recording.read(index)
     points = (frame.camera.rays() * frame.depth[..., None])[frame.depth > 0]
     near, _ = cKDTree(result.vertices[index][result.frontal]).query(points, distance_upper_bound=10.0)
-    return transform_points(np.linalg.inv(result.rigid[index].astype(float)), points[np.isfinite(near)])
+    return transform_points(np.linalg.inv(result.head_pose[index].astype(float)), points[np.isfinite(near)])
 
 
 def residuals(points, tree, normals, transform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -122,7 +122,7 @@ def test_rigid_poses_bring_the_depth_frames_onto_the_reference(tracked, mannequi
     tree = cKDTree(points)
     kept = np.flatnonzero(tracked.tracked)
     clouds = [face_points(recording, tracked, index)[::8] for index in kept[::3]]
-    first_pose = tracked.rigid[kept[0]].astype(float)
+    first_pose = tracked.head_pose[kept[0]].astype(float)
     transform = onto_reference(np.concatenate(clouds), first_pose, tree, normals)
     medians = [np.median(np.abs(residuals(cloud, tree, normals, transform)[2])) for cloud in clouds]
     everything = np.concatenate([residuals(cloud, tree, normals, transform)[2] for cloud in clouds])
@@ -153,7 +153,7 @@ def test_refined_features_lie_closer_to_the_rigid_head(mannequin, actor_file, tr
     places = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)
     errors = {"detected": [], "refined": []}
     for index in np.flatnonzero(tracked.tracked)[::4]:
-        pose = tracked.rigid[index].astype(float)
+        pose = tracked.head_pose[index].astype(float)
         frame = recording.read(index)
         frame = dataclasses.replace(frame, features=detector.detect(frame))
         if frame.features is None or frame.features.valid.sum() < 6 or np.degrees(np.arccos(-pose[2, 2])) > 45:

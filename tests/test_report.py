@@ -192,7 +192,7 @@ def test_record_of_result_arrays_equals_record_of_frames(run):
     result = Result()
     for name in (
         "vertices",
-        "rigid",
+        "head_pose",
         "tracked",
         "timestamps",
         "coefficients",

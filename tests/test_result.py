@@ -96,8 +96,8 @@ def test_every_array_of_the_contract_is_written(actor, tmp_path):
     assert arrays["parameters"].shape == () and Parameters.from_json(str(arrays["parameters"])) == Parameters()
     np.testing.assert_array_equal(arrays["feature_ids"], FEATURE_IDS)
     for k, frame in enumerate(frames):
-        np.testing.assert_allclose(arrays["vertices"][k], frame.v4 + frame.rigid[:3, 3], atol=1e-3)
-        np.testing.assert_allclose(arrays["v1"][k], frame.v1 + frame.rigid[:3, 3], atol=1e-3)
+        np.testing.assert_allclose(arrays["vertices"][k], frame.v4 + frame.head_pose[:3, 3], atol=1e-3)
+        np.testing.assert_allclose(arrays["v1"][k], frame.v1 + frame.head_pose[:3, 3], atol=1e-3)
     assert not list(tmp_path.glob("*.part"))
 
 
@@ -117,7 +117,7 @@ def test_frames_without_a_face_repeat_the_last_one_and_hold_no_nan(actor):
     shown = [1, 1, 2, 2, 2, 2, 6, 6]
     for k, source in enumerate(shown):
         np.testing.assert_allclose(result.vertices[k], frames[source].vertices, atol=1e-3)
-        np.testing.assert_allclose(result.rigid[k], frames[source].rigid)
+        np.testing.assert_allclose(result.head_pose[k], frames[source].head_pose)
         np.testing.assert_allclose(result.coefficients[k], frames[source].coefficients, atol=1e-6)
     states = [0, 2, 2, 0, 0, 0, 2, 0]
     assert result.sample_state.tolist() == states
@@ -132,7 +132,7 @@ def test_frames_without_a_face_repeat_the_last_one_and_hold_no_nan(actor):
 def test_a_run_that_never_found_the_face_shows_the_neutral(actor):
     result, _ = build(actor, "us")
     np.testing.assert_allclose(result.vertices[0], actor.neutral, atol=1e-4)
-    np.testing.assert_array_equal(result.rigid[1], np.eye(4))
+    np.testing.assert_array_equal(result.head_pose[1], np.eye(4))
     assert not result.tracked.any() and "0 tracked" in result.summary()
 
 

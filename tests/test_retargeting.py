@@ -118,7 +118,7 @@ def test_export_solves_with_the_parameters_of_the_run(scene, changes):
     fit = BlendshapeFit(actor, parameters.blendshapes)
     meshes = head_frames(result)
     meshes[0] = 2 * actor.neutral - meshes[3]  # an expression the other way
-    vertices = np.stack([transform_points(m, v) for m, v in zip(result.rigid.astype(float), meshes, strict=True)])
+    vertices = np.stack([transform_points(m, v) for m, v in zip(result.head_pose.astype(float), meshes, strict=True)])
     tracked = np.stack([fit.resolve(v4, np.zeros(23)) for v4 in meshes])
     run = replace(
         result, vertices=vertices.astype(np.float32), parameters=parameters.to_json(), coefficients=tracked.astype(np.float32)
@@ -201,7 +201,8 @@ def test_transfer_to_the_same_head_is_exact(scene):
 def test_correctives_reach_the_characters_skin_only(scene):
     actor, result, _ = scene
     short = replace(
-        result, **{name: getattr(result, name)[:3] for name in ("vertices", "rigid", "coefficients", "coefficients_initial")}
+        result,
+        **{name: getattr(result, name)[:3] for name in ("vertices", "head_pose", "coefficients", "coefficients_initial")},
     )
     hag = load_character("hag")
     added = character_correctives(short, actor, hag)

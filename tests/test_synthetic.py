@@ -68,7 +68,7 @@ def test_rendered_depth_at_a_visible_vertex_is_its_z(sensor, index):
 def test_truth_lies_exactly_on_the_rendered_surface(sensor):
     truth, depth = sensor.ground_truth(40), sensor.read(40).depth
     camera, scene = sensor.camera, sensor._scene
-    surface = scene.vertices(sensor._skin(40), truth.rigid, sensor._gaze(truth.activations))
+    surface = scene.vertices(sensor._skin(40), truth.head_pose, sensor._gaze(truth.activations))
     for vertex in np.flatnonzero(visible_vertices(sensor, truth, depth))[::97]:
         u, v = camera.project(truth.vertices[vertex])
         at_vertex = Camera(640, 480, camera.fx, camera.fy, camera.cx + round(u) - u, camera.cy + round(v) - v)
@@ -79,10 +79,10 @@ def test_truth_lies_exactly_on_the_rendered_surface(sensor):
 
 def test_truth_is_the_performers_shape_in_the_camera(sensor, performer):
     truth = sensor.ground_truth(25)
-    expected = transform_points(truth.rigid, performer.shape(truth.activations))
+    expected = transform_points(truth.head_pose, performer.shape(truth.activations))
     np.testing.assert_allclose(truth.vertices, expected, atol=1e-9)
-    np.testing.assert_allclose(truth.rigid[:3, :3] @ truth.rigid[:3, :3].T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(truth.rigid[:3, :3]) == pytest.approx(1)
+    np.testing.assert_allclose(truth.head_pose[:3, :3] @ truth.head_pose[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(truth.head_pose[:3, :3]) == pytest.approx(1)
 
 
 def test_subdivision_keeps_flat_things_flat():
@@ -203,9 +203,9 @@ def test_the_repeat_performs_the_same_expressions_with_other_motion_and_noise(pe
     first, repeat = sensor.ground_truth(8 + 33), sensor.ground_truth(8 + 60 + 33)
     assert (first.performance, repeat.performance, sensor.ground_truth(7).performance) == (0, 1, -1)
     np.testing.assert_array_equal(first.activations, repeat.activations)
-    in_head = [transform_points(np.linalg.inv(t.rigid), t.vertices) for t in (first, repeat)]
+    in_head = [transform_points(np.linalg.inv(t.head_pose), t.vertices) for t in (first, repeat)]
     np.testing.assert_allclose(*in_head, atol=1e-9)
-    assert np.abs(first.rigid - repeat.rigid).max() > 0.5
+    assert np.abs(first.head_pose - repeat.head_pose).max() > 0.5
     assert (sensor.ground_truth(3).activations == 0).all()
 
 

@@ -47,7 +47,7 @@ def test_the_source_performs_the_take_after_the_neutral(tmp_path):
 
 def test_the_head_turns_as_in_the_take(tmp_path):
     sensor = SyntheticSensor(3, "none", 2, take=read_take(written(tmp_path / "take.csv", seconds=3.0, turn=0.3)), colour=False)
-    turn = sensor.ground_truth(len(sensor) - 1).rigid[:3, :3]
+    turn = sensor.ground_truth(len(sensor) - 1).head_pose[:3, :3]
     # Yaw counts to the subject's right: the face, +z of the head, goes to -x of the head and to the right in the picture.
     assert np.degrees(np.arcsin(-turn[0, 2])) == pytest.approx(np.degrees(0.3), abs=1.0)
 

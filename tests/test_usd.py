@@ -129,7 +129,7 @@ def test_names_that_collide_stay_apart(meshes, tmp_path):
 
 def test_one_frame(meshes, tmp_path):
     mesh = meshes["hag"]
-    one = replace(mesh, weights=mesh.weights[:1], timestamps=mesh.timestamps[:1], rigid=mesh.rigid[:1])
+    one = replace(mesh, weights=mesh.weights[:1], timestamps=mesh.timestamps[:1], head_pose=mesh.head_pose[:1])
     write_usd(tmp_path / "one.usdz", one)
     assert len(read_usd(tmp_path / "one.usdz")) == 1
 

@@ -41,7 +41,11 @@ def in_the_browser(slider, value: float) -> float:
         Parameters(),
         Parameters.paper(),
         Parameters().set(
-            blendshapes__sparsity=1 / 3, laplacian__w2=7.123, rigid__prune=17.25, fusion__voxel=0.7, rigid__converged=0.1 + 0.2
+            blendshapes__sparsity=1 / 3,
+            laplacian__w2=7.123,
+            rigid__max_correspondence_distance=17.25,
+            fusion__voxel=0.7,
+            rigid__converged=0.1 + 0.2,
         ),
     ],
     ids=["defaults", "paper", "odd values"],

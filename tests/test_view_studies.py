@@ -56,7 +56,7 @@ def test_pose_errors_are_small_where_the_rig_is_exact(session):
     errors = rigid_study.pose_errors(session)
     assert errors.shape == (6, 2)
     assert np.median(errors, axis=0) == pytest.approx([0.0, 0.0], abs=0.5)
-    assert len(rigid_study.pose_errors(session, rigid__lost=0.1)) < 6, "lost frames have none"
+    assert len(rigid_study.pose_errors(session, rigid__max_residual=0.1)) < 6, "lost frames have none"
 
 
 def test_a_lost_head_has_no_error_to_show(session):

@@ -48,13 +48,13 @@ def test_at_rest_the_head_is_where_its_first_frame_is(meshes, tmp_path, name):
     mesh = meshes[name]
     write_glb(tmp_path / "x.glb", mesh)
     placed = transform_points(resting_head(tmp_path / "x.glb"), 1e-3 * mesh.neutral)
-    expected = 1e-3 * (transform_points(mesh.rigid[0], mesh.neutral) - mesh.centre)
+    expected = 1e-3 * (transform_points(mesh.head_pose[0], mesh.neutral) - mesh.centre)
     np.testing.assert_allclose(placed, expected, atol=1e-6)
 
 
 def test_one_frame_has_a_rest_pose_too(meshes, tmp_path):
     mesh = meshes["hag"]
-    one = replace(mesh, weights=mesh.weights[:1], timestamps=mesh.timestamps[:1], rigid=mesh.rigid[:1])
+    one = replace(mesh, weights=mesh.weights[:1], timestamps=mesh.timestamps[:1], head_pose=mesh.head_pose[:1])
     write_glb(tmp_path / "one.glb", one)
     middle = resting_head(tmp_path / "one.glb") @ np.append(1e-3 * (mesh.neutral.max(axis=0) + mesh.neutral.min(axis=0)) / 2, 1)
     assert np.abs(middle[:3]).max() < 0.1

@@ -305,7 +305,7 @@ def test_live_chart_draws_lines_in_place_and_leaves_gaps():
 
 
 def same(a, b) -> bool:
-    return np.array_equal(a.v4, b.v4) and np.array_equal(a.rigid, b.rigid)
+    return np.array_equal(a.v4, b.v4) and np.array_equal(a.head_pose, b.head_pose)
 
 
 def test_replay_equals_a_plain_tracker(session):
@@ -340,7 +340,7 @@ def test_preview_of_k_learns_again_from_the_earlier_frames(session):
 CHANGES = [
     {"blendshapes__A": 5},
     {"kalman__model": "acceleration"},
-    {"rigid__prune": 10.0},
+    {"rigid__max_correspondence_distance": 10.0},
     {"depth__smoothing": 3.0},
     {"blendshapes__w": 1e-3},
 ]
@@ -403,11 +403,11 @@ def test_change_recomputes_everything_in_the_background(session):
 # ---- workbench and player ----
 
 
-def bench_of(session, **options) -> views.Workbench:
+def bench_of(session, **options) -> views.StageExplorer:
     measures = views.Measures(session)
     panes = {"v1": measures.stage("v1"), "v2": measures.difference("v2", "v1")}
     options = {"limits": (0, 2), "label": measures.label, **options}
-    return views.Workbench(session, ["laplacian.w2", "adaptive_pca.K"], panes, [views.figure_11(session)], **options)
+    return views.StageExplorer(session, ["laplacian.w2", "adaptive_pca.K"], panes, [views.figure_11(session)], **options)
 
 
 def test_the_sliders_of_a_workbench_end_at_the_actors_expressions(session, strict):
@@ -416,7 +416,7 @@ def test_the_sliders_of_a_workbench_end_at_the_actors_expressions(session, stric
         session.actor, blendshapes=session.actor.blendshapes[:9], expression_names=session.actor.expression_names[:9]
     )
     less = dataclasses.replace(session, frames=session.frames[:3], _actor=few)
-    bench = views.Workbench(less, ["blendshapes"], {"v1": lambda result, frame: (result.v1, None)}, camera=False)
+    bench = views.StageExplorer(less, ["blendshapes"], {"v1": lambda result, frame: (result.v1, None)}, camera=False)
     slider = bench.panel["blendshapes.A"]
     assert (slider.value, slider.max, bench.parameters) == (9, 9, Parameters())
     bench.set(blendshapes__ridge=5.0)
@@ -555,7 +555,9 @@ def test_printed_equation_solves_the_stacked_rows_without_weights(session):
     """The normal equations of K dv = G^-1 a hold, with the rows of eqs. (3), (4) and (6) written out here anew."""
     actor, frame = session.actor, session.frames[8]
     result = views.Replay(session.frames[:9], actor).run()[8]
-    solution = laplacian_study.PrintedEquation(actor, frame.camera).deform(frame, result, 0.1, 100.0) @ result.rigid[:3, :3].T
+    solution = (
+        laplacian_study.PrintedEquation(actor, frame.camera).deform(frame, result, 0.1, 100.0) @ result.head_pose[:3, :3].T
+    )
     frontal, vertices = np.flatnonzero(actor.frontal), result.in_camera(result.v1[actor.frontal])
     u, v = np.round(frame.camera.project(vertices)).astype(int).T
     ratio = frame.depth[v, u] / vertices[:, 2]

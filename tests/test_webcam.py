@@ -85,8 +85,8 @@ def expression_share(performer, actor, tracked) -> float:
     """Active share of v4 with the pose's error left out: 1 is a face that never moves."""
     collector = ErrorCollector(performer, actor, ("v4",))
     for frame in tracked:
-        pose = performer.ground_truth(frame.index).rigid @ collector.alignment
-        collector.score(frame.index, frame.rigid, {"v4": transform_points(pose, frame.v4)})
+        pose = performer.ground_truth(frame.index).head_pose @ collector.alignment
+        collector.score(frame.index, frame.head_pose, {"v4": transform_points(pose, frame.v4)})
     return collector.finish().active_share("v4", None)
 
 
@@ -105,9 +105,9 @@ def test_a_video_of_a_performer_is_tracked_from_its_pictures_alone(performer, cl
     assert result.colour_only and COLOUR_ONLY in result.summary()
     assert (result.sample_state == SampleState.IN_ANCHOR_SPACE).all() and result.corrective_updates.max() == 0
     assert expression_share(performer, actor, tracked[NEUTRAL:]) < 0.85
-    true = turns([performer.ground_truth(k).rigid for k in range(len(performer))])
+    true = turns([performer.ground_truth(k).head_pose for k in range(len(performer))])
     assert np.ptp(true[:, 1]) > 10  # the head does turn
-    assert np.median(np.linalg.norm(turns(result.rigid) - true, axis=1)) < 5
+    assert np.median(np.linalg.norm(turns(result.head_pose) - true, axis=1)) < 5
 
     result.save(tmp_path / "result.npz")
     assert Result.load(tmp_path / "result.npz").colour_only
@@ -125,7 +125,7 @@ def test_depth_does_not_change_colour_only_tracking(frames, average):
     seeing, blind = ColourTracker(average), ColourTracker(average)
     for frame in frames[:4]:
         a, b = seeing.track(frame), blind.track(without_depth(frame, 0.0))
-        assert np.array_equal(a.rigid, b.rigid) and np.array_equal(a.v4, b.v4)
+        assert np.array_equal(a.head_pose, b.head_pose) and np.array_equal(a.v4, b.v4)
 
 
 def test_resolution_does_not_matter(frames, average):
@@ -136,7 +136,7 @@ def test_resolution_does_not_matter(frames, average):
     features = Features2D(3 * frame.features.pixels, frame.features.confidence)
     small = ColourTracker(average).track(frame)
     big = ColourTracker(average).track(dataclasses.replace(frame, camera=large, features=features))
-    assert np.allclose(small.rigid, big.rigid, atol=1e-6) and np.allclose(small.v4, big.v4, atol=1e-4)
+    assert np.allclose(small.head_pose, big.head_pose, atol=1e-6) and np.allclose(small.v4, big.v4, atol=1e-4)
 
 
 def test_the_face_leaves_and_comes_back(frames, average):
@@ -149,7 +149,7 @@ def test_the_face_leaves_and_comes_back(frames, average):
         lost = tracker.track(dataclasses.replace(gone, features=features))
         assert not lost.tracked and lost.reason and np.isfinite(lost.v4).all()
     again = tracker.track(frames[0])
-    assert before.tracked and again.tracked and np.allclose(before.rigid, again.rigid, atol=1e-6)
+    assert before.tracked and again.tracked and np.allclose(before.head_pose, again.head_pose, atol=1e-6)
 
 
 def test_an_rgbd_sensor_without_depth_is_not_taken_for_a_webcam(frames, average, tmp_path):
@@ -330,7 +330,7 @@ def test_the_mannequins_turn_in_its_pictures(mannequin, detector):
     tracker = ColourTracker(capture_colour_actor(seen))
     tracked = [tracker.track(frame) for frame in frames]
     assert [face.tracked for face in tracked] == [frame.features is not None for frame in frames]
-    yaw = np.degrees([np.arctan2(f.rigid[0, 2], -f.rigid[2, 2]) for f in tracked if f.tracked])
+    yaw = np.degrees([np.arctan2(f.head_pose[0, 2], -f.head_pose[2, 2]) for f in tracked if f.tracked])
     assert len(yaw) >= 25 and yaw[0] > 45 and yaw[-1] < -35
     assert np.diff(yaw).max() < 5 and abs(np.diff(yaw).mean() + 3.6) < 0.5
 

@@ -39,7 +39,7 @@ def tracker(frames):
         {"laplacian__w2": 3.0},
         {"laplacian__final_w2": 1.0},
         {"blendshapes__w": 3e-6},
-        {"blendshapes__every": 2},
+        {"blendshapes__vertex_stride": 2},
         {"rigid__iterations": 2},
         {"rigid__stiff": 3.0},
         {"kalman__model": "off"},
@@ -121,7 +121,7 @@ def test_only_what_changed_is_made_again(tracker):
     changes = {
         "laplacian.w2": {"deformation"},
         "laplacian.final_w2": {"final_deformation"},
-        "laplacian.steps": set(),
+        "laplacian.cg_iterations": set(),
         "rigid.iterations": {"rigid"},
         "kalman.process_noise": {"kalman"},
         "blendshapes.A": {"blendshapes", "rigid"},

@@ -64,7 +64,7 @@ def live_scene(make_driver=SyntheticDriver, frames: int = EXPRESSION_FRAMES) -> 
     rendered: list = []
     sensor = LiveSensor(lambda: make_driver(source, rendered), open_timeout=600.0)
     actor = build_actor(source.performer.model, source.performer.neutral)
-    views = ((source.read(index), source.ground_truth(index).rigid) for index in range(0, source.neutral_frames, 4))
+    views = ((source.read(index), source.ground_truth(index).head_pose) for index in range(0, source.neutral_frames, 4))
     return replace(actor, appearance=gather_appearance(actor, views, RefinementParameters())), sensor
 
 

@@ -168,7 +168,7 @@ def rigid_icp(recorded: Recorded, limit: int) -> Comparison:
         criteria = registration.ICPConvergenceCriteria(0.0, 0.0, p.iterations)
 
         def peer(surface, shape, normals, pose, source, target):
-            return registration.registration_icp(source, target, p.prune, np.eye(4), plane, criteria)
+            return registration.registration_icp(source, target, p.max_correspondence_distance, np.eye(4), plane, criteria)
 
     def ours(surface, shape, normals, pose, *_):
         return recorded.tracker.rigid.align(surface, shape, normals, pose)

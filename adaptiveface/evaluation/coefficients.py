@@ -59,7 +59,7 @@ def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, act
     plain = SparseResolve.of(actor, names, replace(blendshape_parameters(result), sparsity=0.0))
     heads = (
         transform_points(np.linalg.inv(rigid.astype(float)), v4.astype(float))
-        for rigid, v4 in zip(result.rigid[part], result.vertices[part], strict=True)
+        for rigid, v4 in zip(result.head_pose[part], result.vertices[part], strict=True)
     )
     found = {
         INITIAL: result.coefficients_initial[part].astype(float),

@@ -69,7 +69,7 @@ def score_result(result: Result, truth: GroundTruth, actor: Actor, step: int = 1
             collector.lose(k)
             continue
         meshes = {name: np.asarray(getattr(result, "vertices" if name == "v4" else name)[k], float) for name in stages}
-        collector.score(k, result.rigid[k].astype(float), meshes, result.anchor_distance[k], result.adaptive_distance[k])
+        collector.score(k, result.head_pose[k].astype(float), meshes, result.anchor_distance[k], result.adaptive_distance[k])
     return collector.finish()
 
 

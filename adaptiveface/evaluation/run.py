@@ -155,7 +155,7 @@ class ErrorCollector:
             self.lose(frame.index)
             return
         meshes = {stage: frame.in_camera(getattr(frame, stage)) for stage in self.stages}
-        self.score(frame.index, frame.rigid, meshes, frame.anchor_distance, frame.adaptive_distance)
+        self.score(frame.index, frame.head_pose, meshes, frame.anchor_distance, frame.adaptive_distance)
 
     def lose(self, index: int) -> None:
         """Count a frame that was not tracked."""
@@ -174,16 +174,16 @@ class ErrorCollector:
         truth = self.truth[index]
         surface = metrics.TrueSurface(truth.vertices, self.actor.triangles)
         normals = vertex_normals(truth.vertices, self.actor.triangles)[self.frontal]
-        motion = metrics.true_motion(truth.vertices, truth.rigid, self.truth.neutral)[self.frontal]
+        motion = metrics.true_motion(truth.vertices, truth.head_pose, self.truth.neutral)[self.frontal]
         distances, parts = [], []
         for stage in self.stages:
             distances.append(surface.distance(meshes[stage][self.scored]))
             error = metrics.motion_error(
-                meshes[stage], self.actor.neutral, truth.vertices, self.truth.neutral, truth.rigid, self.alignment
+                meshes[stage], self.actor.neutral, truth.vertices, self.truth.neutral, truth.head_pose, self.alignment
             )
             parts.append(metrics.split_by_normal(error[self.frontal], normals))
         normal, tangential = zip(*parts, strict=True)
-        pose = metrics.pose_error(rigid, truth.rigid, self.alignment, self.centre)
+        pose = metrics.pose_error(rigid, truth.head_pose, self.alignment, self.centre)
         self._rows.append(
             (
                 index,

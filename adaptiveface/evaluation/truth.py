@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import FileFormatError
 from ..mesh import transform_points
 from ..npz import Field, load_checked
+from ..renamed import renamed
 
 #: What a frame belongs to: the neutral scan, the first performance of the script, or its repeat.
 NEUTRAL, FIRST, REPEAT = -1, 0, 1
@@ -25,12 +26,13 @@ _FIELDS = {
 }
 
 
+@renamed
 @dataclass(frozen=True)
 class TruthFrame:
-    """vertices (V, 3) mm in the camera frame; rigid (4, 4) head to camera; performance: see ``PERFORMANCE_NAMES``."""
+    """vertices (V, 3) mm in the camera frame; head_pose (4, 4) head to camera; performance: see ``PERFORMANCE_NAMES``."""
 
     vertices: np.ndarray
-    rigid: np.ndarray
+    head_pose: np.ndarray
     performance: int
 
 
@@ -58,7 +60,8 @@ class GroundTruth:
 
         def read(index: int) -> TruthFrame:
             truth = source.ground_truth(index)
-            return TruthFrame(np.asarray(truth.vertices, float), np.asarray(truth.rigid, float), int(truth.performance))
+            pose = truth.head_pose if hasattr(truth, "head_pose") else truth.rigid  # an own class, written before
+            return TruthFrame(np.asarray(truth.vertices, float), np.asarray(pose, float), int(truth.performance))
 
         # A synthetic performer knows its neutral; any other source shows it in its first frames.
         neutral = getattr(getattr(source, "performer", None), "neutral", None)
@@ -86,7 +89,7 @@ def _mean_neutral(read: Callable[[int], TruthFrame], n_frames: int, path="the so
         frame = read(index)
         if frame.performance != NEUTRAL or len(heads) == most:
             break
-        heads.append(transform_points(np.linalg.inv(frame.rigid), frame.vertices))
+        heads.append(transform_points(np.linalg.inv(frame.head_pose), frame.vertices))
     if not heads:
         raise FileFormatError(f"{path}: the truth begins with no neutral frame (performance -1) and has no 'neutral'")
     return np.mean(heads, axis=0)

@@ -9,6 +9,7 @@ import numpy as np
 from ..actor import Actor
 from ..errors import FileFormatError
 from ..mesh import transform_points, vertex_normals
+from ..renamed import renamed
 from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.retarget import Performance, head_blocks, head_meshes
@@ -23,12 +24,13 @@ SKIN = (204, 168, 149)
 CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])
 
 
+@renamed
 @dataclass(frozen=True)
 class AnimatedMesh:
     """F frames of a mesh with V vertices and E morph targets.
 
     neutral (V, 3) mm, head frame; triangles (T, 3); target_names (E,); targets (E, V, 3) mm, displacements at weight 1;
-    weights (F, E); timestamps (F,) s, strictly increasing from 0; rigid (F, 4, 4) head to view frame, mm: x right, y
+    weights (F, E); timestamps (F,) s, strictly increasing from 0; head_pose (F, 4, 4) head to view frame, mm: x right, y
     up, z towards the viewer; colours (V, 3) uint8 sRGB or None; inside: parts that share the head's motion and have
     targets and weights of their own, or None.
     """
@@ -40,7 +42,7 @@ class AnimatedMesh:
     targets: np.ndarray
     weights: np.ndarray
     timestamps: np.ndarray
-    rigid: np.ndarray
+    head_pose: np.ndarray
     colours: np.ndarray | None = None
     inside: AnimatedMesh | None = None
 
@@ -61,7 +63,7 @@ class AnimatedMesh:
         """(V, 3) mm in the head frame, or with the head's motion in the view frame."""
         flat = self.targets.reshape(len(self.targets), self.neutral.size)
         vertices = self.neutral + (self.weights[frame] @ flat).reshape(-1, 3)
-        return transform_points(self.rigid[frame], vertices) if posed else vertices
+        return transform_points(self.head_pose[frame], vertices) if posed else vertices
 
     @property
     def whole_triangles(self) -> np.ndarray:
@@ -91,7 +93,7 @@ class AnimatedMesh:
     @property
     def centre(self) -> np.ndarray:
         """(3,) mm: the median place of the head in the view frame, which files put at the origin."""
-        return np.median(self.rigid[:, :3, 3], axis=0)
+        return np.median(self.head_pose[:, :3, 3], axis=0)
 
 
 def linear_colours(colours: np.ndarray) -> np.ndarray:
@@ -112,9 +114,9 @@ def size_text(vertices: np.ndarray) -> str:
     return "{:.0f} x {:.0f} x {:.0f} mm".format(*np.ptp(vertices, axis=0))
 
 
-def view_motion(rigid: np.ndarray) -> np.ndarray:
+def view_motion(head_pose: np.ndarray) -> np.ndarray:
     """(F, 4, 4) head to view frame of poses (F, 4, 4) head to camera."""
-    out = np.array(rigid, float)
+    out = np.array(head_pose, float)
     out[:, :3] = CAMERA_TO_VIEW @ out[:, :3]
     return out
 
@@ -136,7 +138,7 @@ def character_animation(character: Character, performance: Performance) -> Anima
         character.expressions,
         character.weights(performance.curves),
         increasing(performance.timestamps),
-        view_motion(performance.rigid),
+        view_motion(performance.head_pose),
         character.colours,
     )
 
@@ -172,7 +174,7 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
         targets,
         weights,
         increasing(result.timestamps),
-        view_motion(result.rigid),
+        view_motion(result.head_pose),
     )
     return in_slider_range(mesh)
 

@@ -30,7 +30,7 @@ def write_arkit_csv(path: str | os.PathLike, performance: Performance) -> None:
     eyes = eye_angles(performance.curves) if performance.eyes is None else performance.eyes
     times = performance.start + increasing(performance.timestamps)
     write_take(
-        path, LiveLinkTake(times, performance.curves, head_angles(performance.rigid), eyes, np.ones(len(performance), bool))
+        path, LiveLinkTake(times, performance.curves, head_angles(performance.head_pose), eyes, np.ones(len(performance), bool))
     )
 
 

@@ -47,7 +47,7 @@ def avatar_motion(
     millimetres per unit of the file.
     """
     facing = np.diag([-1.0, 1.0, -1.0]) if looks_back(file) else np.eye(3)
-    view = view_motion(performance.rigid)
+    view = view_motion(performance.head_pose)
     turned = facing @ view[:, :3, :3] @ facing.T
     eyes = eye_angles(performance.curves) if performance.eyes is None else performance.eyes
     gaze = rotations(eyes.reshape(-1, 2, 3))

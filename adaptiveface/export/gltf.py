@@ -139,8 +139,8 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
             {
                 "name": "head",
                 "mesh": 0,
-                "translation": _metres(mesh.rigid[0, :3, 3]),
-                "rotation": quaternions(mesh.rigid[:1, :3, :3])[0].tolist(),
+                "translation": _metres(mesh.head_pose[0, :3, 3]),
+                "rotation": quaternions(mesh.head_pose[:1, :3, :3])[0].tolist(),
             },  # at rest it is where the first frame is
         ],
         "meshes": [_mesh(builder, mesh, packing)],
@@ -219,8 +219,8 @@ def _mesh(builder: _Builder, mesh: AnimatedMesh, packing: _Packing, material: in
 
 def _animation(builder: _Builder, mesh: AnimatedMesh, packing: _Packing) -> dict:
     times = builder.accessor((mesh.codes / mesh.fps).astype(np.float32), bounds=True)
-    position = (METRES * mesh.rigid[:, :3, 3]).astype(np.float32)
-    curves = {"translation": position, "rotation": quaternions(mesh.rigid[:, :3, :3]).astype(np.float32)}
+    position = (METRES * mesh.head_pose[:, :3, 3]).astype(np.float32)
+    curves = {"translation": position, "rotation": quaternions(mesh.head_pose[:, :3, :3]).astype(np.float32)}
     if mesh.targets.size:
         curves["weights"] = np.ascontiguousarray(packing.weights(mesh.weights)).ravel()
     samplers = [

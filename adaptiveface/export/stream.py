@@ -94,7 +94,7 @@ class Streamer:
         """
         state = FaceState(float(frame.timestamp), False)
         if frame.tracked:
-            pose = view_motion(frame.rigid[None])[0]
+            pose = view_motion(frame.head_pose[None])[0]
             self._start = pose[:3, 3].copy() if self._start is None else self._start
             place = METRES * (pose[:3, 3] - self._start)
             curves, eyes = self._looking(self._curves(frame), frame, source_frame)

@@ -207,10 +207,10 @@ def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str], amounts: 
     weights = animation.CreateBlendShapeWeightsAttr()
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)]))
-    turns = quaternions(mesh.rigid[:, :3, :3])
+    turns = quaternions(mesh.head_pose[:, :3, :3])
     for frame, (code, turn) in enumerate(zip(map(float, mesh.codes), turns, strict=True)):
         weights.Set(Vt.FloatArray.FromNumpy(amounts[frame].astype(np.float32)), code)
-        place = METRES * mesh.rigid[frame, :3, 3]
+        place = METRES * mesh.head_pose[frame, :3, 3]
         translations.Set(Vt.Vec3fArray([Gf.Vec3f(*map(float, place))]), code)
         x, y, z, w = map(float, turn)
         rotations.Set(Vt.QuatfArray([Gf.Quatf(w, x, y, z)]), code)

@@ -41,7 +41,7 @@ Panel = Callable[[int], np.ndarray]
 def character_panel(mesh: AnimatedMesh) -> Panel:
     """The animated character with the head's rotation; it stays in the middle."""
     character = _still(mesh)
-    return lambda frame: painted_portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ mesh.rigid[frame, :3, :3])
+    return lambda frame: painted_portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ mesh.head_pose[frame, :3, :3])
 
 
 def turntable_panel(mesh: AnimatedMesh, degrees_per_frame: float = 2.0) -> Panel:
@@ -76,7 +76,7 @@ def tracked_panel(result: Result, insides: Insides | None = None) -> Panel:
         """The mesh of this frame."""
         points = result.vertices[frame] - shift
         if insides is not None:
-            pose = result.rigid[frame].astype(float)
+            pose = result.head_pose[frame].astype(float)
             gaze = None if result.gaze is None else result.gaze[frame].astype(float)
             skin = transform_points(np.linalg.inv(pose), result.vertices[frame].astype(float))
             points = np.concatenate([points, transform_points(pose, insides.at(skin, gaze)) - shift])

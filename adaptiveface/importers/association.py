@@ -25,7 +25,7 @@ NORMAL_MM = 6.0  # a unit of difference between normals counts as this distance:
 FRONTAL_REACH_MM = 25.0  # vertices farther from the fitted face do not belong to it
 DEPTH_REACH_MM = 4.0
 MIN_MATCHED, MAX_RESIDUAL_MM = 0.5, 1.5
-_FIT = FitParameters(reach=30.0, iterations=30)
+_FIT = FitParameters(max_correspondence_distance=30.0, iterations=30)
 _WRAP = ShrinkWrapParameters()
 
 

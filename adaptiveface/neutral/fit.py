@@ -83,7 +83,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     modes = min(parameters.modes, len(model.identity_modes))
     identity, pose = np.zeros(modes), np.eye(4)
     area = vertex_areas(model.mean, model.triangles)
-    history, reach = [], parameters.reach
+    history, reach = [], parameters.max_correspondence_distance
     found = constraints = None
     for iteration in range(parameters.iterations):
         used = _modes_now(iteration, modes)
@@ -98,7 +98,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
         history.append(float(np.median(np.abs(found.distances))))
         step, change = _step(model, identity, pose, used, found, constraints, area, parameters)
         pose, identity = step @ pose, identity + change
-        reach = float(np.clip(6 * 1.4826 * history[-1], 4.0, parameters.reach))
+        reach = float(np.clip(6 * 1.4826 * history[-1], 4.0, parameters.max_correspondence_distance))
     vertices, normals = _posed(model, identity, pose)
     found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
     matched = np.zeros(len(vertices), bool)

@@ -118,7 +118,7 @@ def align(
     Each iteration pairs every model point turned to the camera with the pixel it projects to, rejects pairs by
     distance, normal and boundary, and takes one Gauss-Newton step on the robust point-to-plane energy.
     """
-    limit = parameters.prune
+    limit = parameters.max_correspondence_distance
 
     def associate(pose: np.ndarray) -> Pairs:
         return correspondences(view, points, normals, pose, limit, parameters)
@@ -127,7 +127,7 @@ def align(
         nonlocal limit
         scale = max(3.0 * 1.4826 * float(np.median(np.abs(pairs.distances))), 1.0)
         step, motion = _point_to_plane_step(pairs, scale)
-        limit = float(np.clip(4.0 * scale, 5.0, parameters.prune))
+        limit = float(np.clip(4.0 * scale, 5.0, parameters.max_correspondence_distance))
         return step @ pose, motion
 
     found = last(icp(pose, associate, advance, _count, MIN_CORRESPONDENCES, parameters.iterations, _CONVERGED))
@@ -142,7 +142,7 @@ def evaluate(
     view: DepthView, pose: np.ndarray, points: np.ndarray, normals: np.ndarray, parameters: FusionParameters
 ) -> Registration:
     """How well a pose brings the model surface onto a depth view."""
-    pairs = correspondences(view, points, normals, pose, parameters.prune, parameters)
+    pairs = correspondences(view, points, normals, pose, parameters.max_correspondence_distance, parameters)
     count = len(pairs.distances)
     overlap = count / max(pairs.visible, 1)
     if count < MIN_CORRESPONDENCES:

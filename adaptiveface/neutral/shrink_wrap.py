@@ -73,7 +73,9 @@ def _search(
     search: ScanSearch, model: FaceModel, vertices: np.ndarray, parameters: ShrinkWrapParameters
 ) -> ScanCorrespondences:
     normals = vertex_normals(vertices, model.triangles)
-    return search.correspondences(vertices, normals, _wrapped(model), parameters.reach, parameters.normal_angle)
+    return search.correspondences(
+        vertices, normals, _wrapped(model), parameters.max_correspondence_distance, parameters.normal_angle
+    )
 
 
 def _wrapped(model: FaceModel) -> np.ndarray:

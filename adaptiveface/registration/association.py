@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..caches.compiled import compiled
+from ..renamed import renamed
 from .surface import DepthSurface
 
 
@@ -72,6 +73,7 @@ def _associate(
     return weight
 
 
+@renamed
 @dataclass(frozen=True)
 class Correspondences:
     """Point-to-plane matches of n points, in the camera frame.
@@ -89,7 +91,7 @@ class Correspondences:
         """Number of matched points."""
         return int(np.count_nonzero(self.weights))
 
-    def alike(self) -> Correspondences:
+    def equally_weighted(self) -> Correspondences:
         """The same matches, all of weight 1."""
         return replace(self, weights=(self.weights > 0).astype(float))
 

@@ -90,7 +90,7 @@ def score(record: RunRecord, truth: GroundTruth, actor) -> tuple[Evaluation, int
         if record.tracked[k]:
             meshes = {"v1": record.initial_vertices(k, actor), "v4": record.vertices[k].astype(float)}
             collector.score(
-                int(record.index[k]), record.rigid[k], meshes, record.anchor_distance[k], record.adaptive_distance[k]
+                int(record.index[k]), record.head_pose[k], meshes, record.anchor_distance[k], record.adaptive_distance[k]
             )
         else:
             collector.lose(int(record.index[k]))

@@ -18,7 +18,7 @@ from ..tracking.verdict import verdict
 class RunRecord:
     """One entry per frame of the source, as in ``result.npz``; F frames, N vertices, A expressions, S timed stages.
 
-    index (F,) number in the source; vertices (F, N, 3) float32 final mesh v4 in the camera frame, mm; rigid (F, 4, 4);
+    index (F,) number in the source; vertices (F, N, 3) float32 final mesh v4 in the camera frame, mm; head_pose (F, 4, 4);
     tracked (F,) bool; timestamps (F,) s; coefficients, coefficients_initial (F, A); corrective_updates (F,);
     sample_state (F,); stage_ms (F, S) with stage_names (S,); anchor_distance, adaptive_distance (F,) mm, NaN where
     unknown; reasons (F,) why a frame is not tracked, "" where it is; parameters of the run;
@@ -28,7 +28,7 @@ class RunRecord:
 
     index: np.ndarray
     vertices: np.ndarray
-    rigid: np.ndarray
+    head_pose: np.ndarray
     tracked: np.ndarray
     timestamps: np.ndarray
     coefficients: np.ndarray
@@ -75,7 +75,7 @@ class RunRecord:
         return cls(
             np.arange(count),
             result.vertices,
-            result.rigid,
+            result.head_pose,
             np.asarray(result.tracked, bool),
             clean_times(result.timestamps).seconds,
             result.coefficients,
@@ -106,7 +106,7 @@ class RunRecord:
         return cls(
             column("index", int),
             column("vertices", np.float32),
-            column("rigid"),
+            column("head_pose"),
             column("tracked", bool),
             clean_times(column("timestamp")).seconds,
             column("coefficients"),
@@ -132,7 +132,7 @@ class RunRecord:
         """(N, 3) v1 = b0 + B x of one frame in the camera frame, from its initial coefficients (section 4.2)."""
         x = self.coefficients_initial[index]
         head = actor.neutral + np.tensordot(x, actor.blendshapes[: len(x)], axes=1)
-        return head @ self.rigid[index][:3, :3].T + self.rigid[index][:3, 3]
+        return head @ self.head_pose[index][:3, :3].T + self.head_pose[index][:3, 3]
 
     def expressive_frames(self, count: int, spacing: int = 5) -> list[int]:
         """Positions of tracked frames that show much and differ, in time order: farthest points of the coefficients.

@@ -42,7 +42,7 @@ def _faces(context: Context, character: Character, count: int = 3) -> str:
     portraits = pictures.Portraits(actor, (_SIZE, _SIZE), whole=True)
     rows = []
     for k in chosen:
-        v4 = transform_points(np.linalg.inv(record.rigid[k].astype(float)), record.vertices[k].astype(float))
+        v4 = transform_points(np.linalg.inv(record.head_pose[k].astype(float)), record.vertices[k].astype(float))
         mesh = pictures.on_backdrop(portraits.draw(v4, turn=_YAW), _BACKDROP)
         images = [(mesh, f"actor, {record.timestamps[k]:.2f} s")]
         for shape, text in _driven(record, actor, character, k, v4):

@@ -30,7 +30,7 @@ def preview(context: Context, length: int = 75, step: int = 2, width: int = 300)
     panels = []
     for k, frame in read:
         crop, vertices = view.crop(frame.colour, frame.depth), record.vertices[k].astype(float)
-        side = portraits.draw(transform_points(np.linalg.inv(record.rigid[k]), vertices), turn=40)
+        side = portraits.draw(transform_points(np.linalg.inv(record.head_pose[k]), vertices), turn=40)
         over = pictures.shaded_overlay(crop, view, vertices, triangles)
         panels.append(np.hstack([crop, over, pictures.on_backdrop(side)]))
     seconds = record.timestamps[read[-1][0]] - record.timestamps[read[0][0]]
@@ -86,7 +86,7 @@ def _motion_error(context: Context, k: int, final: np.ndarray) -> np.ndarray:
     assert truth is not None  # asked for by the caller
     frame = truth[int(context.record.index[k])]
     alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
-    error = motion_error(final, actor.neutral, frame.vertices, truth.neutral, frame.rigid, alignment)
+    error = motion_error(final, actor.neutral, frame.vertices, truth.neutral, frame.head_pose, alignment)
     return np.linalg.norm(error, axis=1)
 
 

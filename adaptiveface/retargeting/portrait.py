@@ -28,7 +28,7 @@ def portrait(
 ) -> np.ndarray:
     """(size, size, 3) uint8: ``vertices`` (V, 3) of a character's head frame, seen from the front.
 
-    ``rotation`` (3, 3) turns the head (head to camera, as in ``rigid``); None faces the camera; ``yaw`` degrees more;
+    ``rotation`` (3, 3) turns the head (head to camera, as ``head_pose``); None faces the camera; ``yaw`` degrees more;
     ``rays`` per pixel and axis: 2 for edges without steps, 1 for four times the speed.
     """
     turn = FACING if rotation is None else rotation

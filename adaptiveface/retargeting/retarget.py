@@ -13,6 +13,7 @@ from ..errors import ParameterError
 from ..files import release
 from ..livelink.convention import eyes_of_gaze, with_look
 from ..mesh import transform_points
+from ..renamed import renamed
 from ..result import Result
 from ..result_access import time_table
 from ..timing import frame_rate, increasing
@@ -28,12 +29,13 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+@renamed
 @dataclass(frozen=True)
 class Performance:
     """What a character needs to perform: F frames.
 
     curves (F, 52) ARKit curves, columns ``ARKIT_NAMES``, in [0, 1] (those of a phone's take may pass 1 by a little);
-    timestamps (F,) s; rigid (F, 4, 4) head to camera, mm; unknown: expressions of the result that have no ARKit
+    timestamps (F,) s; head_pose (F, 4, 4) head to camera, mm; unknown: expressions of the result that have no ARKit
     counterpart and therefore do not show; eyes (F, 6): measured yaw, pitch and roll of the left and of the right eye,
     radians, as in :mod:`adaptiveface.livelink.convention`, or None: they follow from the curves; start: time of day of
     the first frame, s.
@@ -41,7 +43,7 @@ class Performance:
 
     curves: np.ndarray
     timestamps: np.ndarray
-    rigid: np.ndarray
+    head_pose: np.ndarray
     unknown: tuple[str, ...] = ()
     eyes: np.ndarray | None = None
     start: float = 0.0
@@ -93,7 +95,7 @@ def head_frames(result: Result) -> np.ndarray:
 
 def head_meshes(result: Result, frames: np.ndarray) -> np.ndarray:
     """(f, N, 3) mm: the final meshes v4 of the frames with numbers (f,), in the head frame."""
-    inverse = np.linalg.inv(result.rigid[frames].astype(float))
+    inverse = np.linalg.inv(result.head_pose[frames].astype(float))
     meshes = np.empty((len(frames), *result.vertices.shape[1:]))
     for mesh, matrix, frame in zip(meshes, inverse, frames, strict=True):
         mesh[:] = transform_points(matrix, result.vertices[frame].astype(float))
@@ -119,7 +121,9 @@ def retarget(
         return _with_gaze(_arkit_performance(result, actor), result).smoothed(smoothing)
     values = driving_coefficients(result, coefficients, actor)
     table = arkit_weights(result.expression_names)
-    performance = Performance(table.curves(values), increasing(result.timestamps), result.rigid.astype(float), table.unknown)
+    performance = Performance(
+        table.curves(values), increasing(result.timestamps), result.head_pose.astype(float), table.unknown
+    )
     return _with_gaze(performance, result).smoothed(smoothing)
 
 
@@ -139,7 +143,7 @@ def _arkit_performance(result: Result, actor: Actor | None) -> Performance:
     for part, meshes in head_blocks(result):
         for frame, v4 in zip(range(part.start, part.stop), meshes, strict=True):
             curves[frame] = before = resolve(v4, before)
-    return Performance(curves, increasing(result.timestamps), result.rigid.astype(float))
+    return Performance(curves, increasing(result.timestamps), result.head_pose.astype(float))
 
 
 def driving_names(result: Result, coefficients: str) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
                     found[method, emotion] = getattr(result, stage), take.distance(result, stage)
     faces = Faces(take.actor, TOP)
     true = [take.sensor.ground_truth(index) for index in shown.values()]
-    pictures = [[faces.plain(transform_points(np.linalg.inv(t.rigid), t.vertices)) for t in true]]
+    pictures = [[faces.plain(transform_points(np.linalg.inv(t.head_pose), t.vertices)) for t in true]]
     titles, rows = [list(EMOTIONS)], []
     for method, (_, stage) in METHODS.items():
         pictures.append([])

@@ -34,7 +34,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
                 meshes[variant.name] = getattr(result, variant.stage), take.distance(result, variant.stage)
 
         found = run_ablations(sensor, sensor, take.actor, parameters, SHOWN, stride=3, on_result=keep)
-        pictures.append([faces.plain(transform_points(np.linalg.inv(truth.rigid), truth.vertices))])
+        pictures.append([faces.plain(transform_points(np.linalg.inv(truth.head_pose), truth.vertices))])
         titles.append([f"frame {shown}:\nthe true face"])
         for variant in SHOWN:
             evaluation, (mesh, distance) = found[variant.name], meshes[variant.name]

@@ -59,7 +59,7 @@ def _row(take: Take, result, distances: dict[str, np.ndarray]) -> tuple[list[np.
     faces, frame = Faces(take.actor, TOP), take.sensor.read(result.index)
     view = face_view(frame.camera, result.in_camera(result.v4)[None, take.actor.frontal], SIZE[0], SIZE[1] / SIZE[0])
     truth = take.sensor.ground_truth(result.index)
-    true = transform_points(np.linalg.inv(truth.rigid), truth.vertices)
+    true = transform_points(np.linalg.inv(truth.head_pose), truth.vertices)
     character = load_character(CHARACTER)
     curves = arkit_weights([str(name) for name in take.actor.expression_names]).curves(result.coefficients[None])
     driven = portrait(character, character.shape(character.weights(curves)[0]), SIZE[1], yaw=YAW, background=BACKDROP)

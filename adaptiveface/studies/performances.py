@@ -74,7 +74,7 @@ class Take:
         motion = []
         for index in range(first, first + self.sensor.frames):
             truth = self.sensor.ground_truth(index)
-            moved = true_motion(truth.vertices, truth.rigid, self.sensor.performer.neutral)[self.scored]
+            moved = true_motion(truth.vertices, truth.head_pose, self.sensor.performer.neutral)[self.scored]
             motion.append(np.linalg.norm(moved, axis=1).mean())
         motion, chosen = np.array(motion), []
         while len(chosen) < count and np.isfinite(motion).any() and motion.max() > 0:

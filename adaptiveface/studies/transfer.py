@@ -43,7 +43,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     pictures, titles = [], []
     for index in shown:
         true = known.ground_truth(index)
-        pictures.append([faces.plain(transform_points(np.linalg.inv(true.rigid), true.vertices))])
+        pictures.append([faces.plain(transform_points(np.linalg.inv(true.head_pose), true.vertices))])
         titles.append(["the true face"])
         for name in PARAMETER_SETS:
             result = found.get((name, index))

@@ -16,6 +16,7 @@ from ..errors import ParameterError
 from ..face_model import FaceModel
 from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..mesh import rotation_vector_matrix, surface_points, transform_points
+from ..renamed import renamed
 from ..rendering import Hits, covering_window, ray_cast
 from .noise import DEPTH_SCALES, add_noise
 from .paint import Painter
@@ -28,16 +29,17 @@ from .take import Take
 OCCLUSION = np.where(FEATURE_REGIONS == "lips", 10.0, 5.0)
 
 
+@renamed
 @dataclass(frozen=True)
 class GroundTruth:
     """What is true in one frame: V vertices, E expression units.
 
-    vertices (V, 3) mm, camera frame, exactly on the rendered skin; rigid (4, 4) head to camera; activations (E,);
+    vertices (V, 3) mm, camera frame, exactly on the rendered skin; head_pose (4, 4) head to camera; activations (E,);
     features (40, 2) exact pixels; performance: -1 neutral scan, 0 first performance, 1 its repeat, ...
     """
 
     vertices: np.ndarray
-    rigid: np.ndarray
+    head_pose: np.ndarray
     activations: np.ndarray
     features: np.ndarray
     performance: int
@@ -121,7 +123,7 @@ class SyntheticSensor:
     def read(self, index: int) -> RgbdFrame:
         """Frame ``index`` with depth, features and (unless ``colour=False``) colour; raises IndexError outside."""
         truth = self.ground_truth(index)
-        vertices = self._scene.vertices(self._skin(index), truth.rigid, self._gaze(truth.activations))
+        vertices = self._scene.vertices(self._skin(index), truth.head_pose, self._gaze(truth.activations))
         window = covering_window(self.camera, vertices, margin=2)
         hits = ray_cast(self.camera, vertices, self._scene.triangles, window, cull=True)
         u0, v0, u1, v1 = window

@@ -38,7 +38,7 @@ class ColourOffset:
         if len(index) < FEWEST_FEATURES:
             return
         points = np.einsum("fk,fkd->fd", self._weights[index], tracked.v1[self._triangles[index]])
-        off = np.median(lifted - transform_points(tracked.rigid, points), axis=0)
+        off = np.median(lifted - transform_points(tracked.head_pose, points), axis=0)
         self._found.append(np.append(off, frame.camera.fx / np.median(lifted[:, 2])))
 
     def note(self, name: str) -> str:

@@ -79,7 +79,7 @@ def turned_away(pose: np.ndarray, centre: np.ndarray) -> float:
     """0 for a face seen from the front to 1 in profile; ``pose`` (4, 4) head to camera, ``centre`` (3,) camera frame, mm.
 
     In profile half of the face is hidden and the rest is seen at a grazing angle: a rigid head's fit opened its mouth by
-    19 mm there, from depth alone, unless its coefficients were held back (``blendshapes.turned``).
+    19 mm there, from depth alone, unless its coefficients were held back (``blendshapes.profile_stiffness``).
     """
     cosine = -(pose[:3, 2] @ centre) / np.linalg.norm(centre)
     angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -120,7 +120,7 @@ class BlendshapeFit:
         self.neutral = actor.neutral
         self.basis = actor.blendshapes[:count]
         #: Every so many of the vertices that may take a depth correspondence, and their part of b0 and B.
-        self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)[:: parameters.every]
+        self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)[:: parameters.vertex_stride]
         self._b0 = np.ascontiguousarray(self.neutral[self.depth_vertices])
         # Single precision: half the memory to stream in every round, and still 1e-5 mm.
         self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0), np.float32)
@@ -197,7 +197,7 @@ class BlendshapeFit:
             turn = np.einsum("abc,fb,frc->fra", CROSS, lever, in_camera)
             jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
             self.add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
-        stiff = p.ridge * (1.0 if surface is None else p.turned ** turned_away(pose, centre))
+        stiff = p.ridge * (1.0 if surface is None else p.profile_stiffness ** turned_away(pose, centre))
         ridge = np.concatenate([np.full(6, 1e-6), np.full(count, stiff + p.temporal)])
         equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
         equations.g[6:] += p.temporal * previous
@@ -216,16 +216,16 @@ class BlendshapeFit:
         """Equation (1)'s rows of the vertices that find a partner in the depth map, added in place."""
         p = self.parameters
         shape = self._b0 + (self._b_flat @ x.astype(np.float32)).reshape(-1, 3)
-        matches = find_correspondences(surface, shape, normals, p.prune, pose)
+        matches = find_correspondences(surface, shape, normals, p.max_correspondence_distance, pose)
         matched = matches.weights > 0
         if p.weights == "equal":
-            matches = matches.alike()
+            matches = matches.equally_weighted()
         jacobian = _depth_jacobian(
             matches.points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre
         )
         distances = matches.distances[matched]
         # Each stands for ``every`` vertices, so that w keeps its meaning.
-        weights = p.every * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
+        weights = p.vertex_stride * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
         self.add_rows(equations, jacobian, distances, weights, current)
 
     def solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:

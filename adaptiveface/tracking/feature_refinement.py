@@ -146,7 +146,7 @@ def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndar
         shape = shape + actor.blendshapes[actor.expression_names.index("jawOpen")]
     places = surface_points(shape, actor.feature_triangles, actor.feature_weights)
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
-    alike = np.exp(-0.5 * (distance / parameters.alike) ** 2) * (FEATURE_REGIONS[:, None] == FEATURE_REGIONS)
+    alike = np.exp(-0.5 * (distance / parameters.correlation_length) ** 2) * (FEATURE_REGIONS[:, None] == FEATURE_REGIONS)
     covariance: np.ndarray = parameters.deviation**2 * ((1.0 - OWN_SHARE) * alike + OWN_SHARE * np.eye(len(places)))
     return covariance
 

@@ -49,8 +49,8 @@ class RigidTracker:
         p, middle = self.parameters, shape.mean(axis=0)
 
         def associate(pose: np.ndarray) -> Correspondences:
-            matches = find_correspondences(surface, shape, normals, p.prune, pose)
-            return matches if p.weights == "cosine" else matches.alike()
+            matches = find_correspondences(surface, shape, normals, p.max_correspondence_distance, pose)
+            return matches if p.weights == "cosine" else matches.equally_weighted()
 
         def step(pose: np.ndarray, matches: Correspondences) -> tuple[np.ndarray, float]:
             centre = transform_points(pose, middle)
@@ -61,7 +61,7 @@ class RigidTracker:
         printed = p.stop == "distance"
         converged = 0.0 if printed else p.converged
         iterates = icp(pose, associate, step, lambda matches: matches.count, p.min_matches, p.iterations, converged)
-        found = last(until_near(iterates, p.lost) if printed else iterates)
+        found = last(until_near(iterates, p.max_residual) if printed else iterates)
         residual = float("inf") if found.starved else found.matches.mean_distance
         return RigidFit(found.pose, found.matches, residual)
 

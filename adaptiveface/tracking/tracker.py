@@ -123,7 +123,7 @@ class FaceTracker(Tracker):
                 mesh = self.state.v4 if self.parameters.rigid.shape == "output" else self.state.v1
                 shape = mesh[self.blendshapes.depth_vertices]
                 fit = self.rigid.align(surface, shape, normals[self._fitted], start)
-            if fit.residual < self.parameters.rigid.lost:
+            if fit.residual < self.parameters.rigid.max_residual:
                 if self._agrees(frame, fit.pose):
                     return fit, surface
                 best = best if best[0] and best[0].residual < fit.residual else (fit, surface)
@@ -169,10 +169,10 @@ class FaceTracker(Tracker):
     ) -> tuple[np.ndarray, float, float]:
         """Displacement (n, 3); shares of the vertices that have depth, and that something in front of them hides."""
         p = self.parameters.laplacian
-        matches = find_correspondences(surface, v1[self.region.vertices], normals, p.prune, pose)
+        matches = find_correspondences(surface, v1[self.region.vertices], normals, p.max_correspondence_distance, pose)
         matches.weights[~self._may_match] = 0.0
         coverage = matches.count / max(int(self._may_match.sum()), 1)
-        occluded = occluded_share(surface, matches.points[::3], normals[::3] @ pose[:3, :3].T, p.prune)
+        occluded = occluded_share(surface, matches.points[::3], normals[::3] @ pose[:3, :3].T, p.max_correspondence_distance)
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
         else:
@@ -182,7 +182,7 @@ class FaceTracker(Tracker):
             offsets = depth_offsets(matches, pose, self.state.deformation)
             return self.deformation.deform_to_points(offsets, term), coverage, occluded
         planes = matches.normals @ pose[:3, :3]
-        return self.deformation.deform(matches, planes, term, self.state.deformation, p.steps), coverage, occluded
+        return self.deformation.deform(matches, planes, term, self.state.deformation, p.cg_iterations), coverage, occluded
 
     def _learn(self, deformation: np.ndarray, coverage: float, occluded: float) -> SampleState:
         """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""

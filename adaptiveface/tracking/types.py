@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 
 from ..mesh import transform_points
+from ..renamed import renamed
 
 
 class SampleState(IntEnum):
@@ -36,11 +37,12 @@ STAGE_NAMES = (
 )
 
 
+@renamed
 @dataclass(frozen=True)
 class TrackedFrame:
     """One frame, tracked or not. Shapes: N vertices, A expressions; the stages v1..v4 are in the head frame, mm.
 
-    rigid (4, 4) head to camera; v1 initial blendshapes, v2 Laplacian-deformed, v3 projected on the adaptive space, v4
+    head_pose (4, 4) head to camera; v1 initial blendshapes, v2 Laplacian-deformed, v3 projected on the adaptive space, v4
     final, each (N, 3) (section 4); coefficients_initial (A,) of v1 and coefficients (A,) re-solved from v4 (section 6);
     residual: mean point-to-plane distance of the rigid fit, mm; anchor_distance, adaptive_distance: mean distance of v2
     from the anchor space and from the adaptive space over the frontal region, mm, before the frame itself is learned from
@@ -51,7 +53,7 @@ class TrackedFrame:
     index: int
     timestamp: float
     tracked: bool
-    rigid: np.ndarray
+    head_pose: np.ndarray
     v1: np.ndarray
     v2: np.ndarray
     v3: np.ndarray
@@ -69,7 +71,7 @@ class TrackedFrame:
 
     def in_camera(self, vertices: np.ndarray) -> np.ndarray:
         """Head-frame points (n, 3) in the camera frame, mm."""
-        return transform_points(self.rigid, vertices)
+        return transform_points(self.head_pose, vertices)
 
     @property
     def vertices(self) -> np.ndarray:

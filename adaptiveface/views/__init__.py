@@ -1,6 +1,6 @@
 """Panels and pictures for the notebooks; the only package that imports ipywidgets.
 
-Needs the extra ``notebooks``. :func:`load_session` gives a performance, :class:`Workbench` puts a stage on show, and
+Needs the extra ``notebooks``. :func:`load_session` gives a performance, :class:`StageExplorer` puts a stage on show, and
 the studies (:mod:`.laplacian_study` and its neighbours) hold what one notebook alone needs.
 """
 
@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from ..errors import MissingExtraError
 from ..parameters import Parameters
+from ..renamed import old_objects
 from ..tracking.verdict import verdict_of
 
 try:
@@ -26,8 +27,10 @@ from .pictures import CameraView
 from .player import Player
 from .replay import Replay
 from .session import Session, fast, load_session
+from .stage_explorer import SeriesCache, StageExplorer, error_chart, figure_11
 from .turntable import Turntable
-from .workbench import SeriesCache, Workbench, error_chart, figure_11
+
+__getattr__ = old_objects(__name__)
 
 # For the whole kernel: on shared cores a second BLAS thread stalls small products for up to 100 ms, a stutter.
 threadpool_limits(limits=1, user_api="blas")
@@ -46,7 +49,7 @@ __all__ = [
     "Replay",
     "SeriesCache",
     "Session",
-    "Workbench",
+    "StageExplorer",
     "depth_distance",
     "error_chart",
     "fast",

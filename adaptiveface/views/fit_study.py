@@ -56,12 +56,12 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
     Written for reading, without the robust weights and the joint pose of ``tracking/expression.py``.
     """
     keep = actor.frontal & actor.depth_valid
-    rotation = result.rigid[:3, :3]
+    rotation = result.head_pose[:3, :3]
     in_camera = result.in_camera(result.v1)
     window = crop_window(frame.camera, frame.camera.project(in_camera[keep]), 20.0)
     surface = depth_surface(frame.depth, frame.camera, window, DepthParameters())
     normals = vertex_normals(in_camera, actor.triangles)
-    matches = find_correspondences(surface, in_camera[keep], normals[keep], parameters.prune)
+    matches = find_correspondences(surface, in_camera[keep], normals[keep], parameters.max_correspondence_distance)
     used = matches.weights > 0
     # Eq. (1): n^T (b0 + B x - p) = distance + n^T B (x - x_now), with everything turned into the head frame.
     planes = matches.normals[used] @ rotation
@@ -70,7 +70,7 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
     now = np.tensordot(result.coefficients_initial, actor.blendshapes[: len(result.coefficients_initial)], axes=1)[keep][used]
     depth_right = np.einsum("nd,nd->n", planes, now) - matches.distances[used]
     # Eq. (2): [1 0 -u; 0 1 -v] P (R (f0 + F x) + t) for every feature seen.
-    rows = feature_rows(frame.features, frame.camera, result.rigid)
+    rows = feature_rows(frame.features, frame.camera, result.head_pose)
     corners, shares = actor.feature_triangles[rows.index], actor.feature_weights[rows.index]
     rest = np.einsum("fk,fkd->fd", shares, actor.neutral[corners])
     moves = np.einsum("fk,afkd->fda", shares, actor.blendshapes[:, corners])

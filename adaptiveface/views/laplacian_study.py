@@ -56,7 +56,7 @@ class PrintedEquation:
         smooth = (w2 * 0.0) / w2  # G^-1 a: the third block
         right = points + smooth + self._feature_rows(frame, vertices, to_depth)
         solved = np.column_stack([factor.solve(right[:, k]) for k, factor in enumerate(self._factors)])
-        return solved @ result.rigid[:3, :3]
+        return solved @ result.head_pose[:3, :3]
 
     def _depth_points(self, frame: RgbdFrame, vertices: np.ndarray, reach: float = 15.0) -> np.ndarray:
         """p_i of eq. (3): the depth measured on the vertex's viewing ray; the vertex itself where there is none."""
@@ -104,7 +104,7 @@ def uniform_laplacian(vertices: np.ndarray, triangles: np.ndarray) -> sp.csr_mat
 
 
 def tracker_with_laplacian(name: str):
-    """``make_tracker`` for a :class:`~.replay.Replay` or :class:`~.workbench.Workbench`: one of ``LAPLACIANS``."""
+    """``make_tracker`` for a :class:`~.replay.Replay` or :class:`~.stage_explorer.StageExplorer`: one of ``LAPLACIANS``."""
     operators = dict(
         zip(
             LAPLACIANS,

@@ -57,7 +57,7 @@ class MeshPane:
         tracked = result.tracked
         gaze = self._gaze.see(tracked, result.frame)
         if tracked.tracked:
-            self._draw(tracked.v4, self._heat(actor, result), tracked.rigid, gaze)
+            self._draw(tracked.v4, self._heat(actor, result), tracked.head_pose, gaze)
 
     def _heat(self, actor: Actor, result: LiveResult) -> np.ndarray | None:
         tracked = result.tracked
@@ -108,9 +108,9 @@ class InputPane:
         if not tracked.tracked:
             self.camera.show(result.frame)
             return
-        points = transform_points(tracked.rigid, tracked.v4[actor.frontal][::6])
+        points = transform_points(tracked.head_pose, tracked.v4[actor.frontal][::6])
         places = surface_points(tracked.v4, actor.feature_triangles, actor.feature_weights)
-        self.camera.show(result.frame, points, transform_points(tracked.rigid, places))
+        self.camera.show(result.frame, points, transform_points(tracked.head_pose, places))
 
 
 class CharacterPane:
@@ -131,7 +131,7 @@ class CharacterPane:
             if names != self._names:
                 self._table, self._names = arkit_weights(names), names
             shape = self.character.shape(self.character.weights(self._table.curves(tracked.coefficients[None]))[0])
-            picture = portrait(self.character, shape, self._size, tracked.rigid[:3, :3], rays=1)
+            picture = portrait(self.character, shape, self._size, tracked.head_pose[:3, :3], rays=1)
             self._image.value = encode(picture)
 
 

@@ -46,7 +46,7 @@ class Measures:
         if self.has_truth:
             truth = self.session.truth[frame.index]
             vectors = motion_error(
-                vertices, actor.neutral, truth.vertices, self.session.truth.neutral, truth.rigid, self._alignment
+                vertices, actor.neutral, truth.vertices, self.session.truth.neutral, truth.head_pose, self._alignment
             )
             lengths = np.linalg.norm(vectors, axis=1)
         else:

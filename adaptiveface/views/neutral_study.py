@@ -206,7 +206,7 @@ def closest_expression(session: Session) -> ClosestExpression:
     """The frame of a session with known truth in which the face moves most, and the blendshapes nearest to it."""
     actor, frontal = session.actor, session.actor.frontal
     truths = [session.truth[frame.index] for frame in session.frames]
-    motions = [transform_points(np.linalg.inv(t.rigid), t.vertices) - session.truth.neutral for t in truths]
+    motions = [transform_points(np.linalg.inv(t.head_pose), t.vertices) - session.truth.neutral for t in truths]
     index = int(np.argmax([np.linalg.norm(m[frontal], axis=1).mean() for m in motions]))
     basis, motion = actor.blendshapes[:, frontal].reshape(len(actor.blendshapes), -1), motions[index]
     count = len(basis)

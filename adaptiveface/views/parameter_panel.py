@@ -27,6 +27,8 @@ TITLES = {
 TAB_STYLE = "<style>.adaptiveface-tabs .lm-TabBar-tab {flex: 0 0 auto !important; max-width: none !important}</style>"
 #: The number of expressions used; an actor has only so many.
 EXPRESSIONS = "blendshapes.A"
+#: Names that are too long for the place beside a slider, and what stands there.
+LABELS = {"max_correspondence_distance": "max_distance"}
 OnChange = Callable[[Parameters], None]
 
 
@@ -57,8 +59,10 @@ class ParameterPanel:
         self.message = widgets.HTML()
         self.message.add_class("adaptiveface-message")
         groups: dict[str, list[widgets.Widget]] = {}
+        names = [Parameters.current_name(name) if "." in name else name for name in names]
+        ranges = {Parameters.current_name(name): limits for name, limits in (ranges or {}).items()}
         for row in (row for name in names for row in describe() if name in (row["stage"], _name(row))):
-            groups.setdefault(row["stage"], []).append(self._control(row, (ranges or {}).get(_name(row))))
+            groups.setdefault(row["stage"], []).append(self._control(row, ranges.get(_name(row))))
         if expressions is not None:
             self.limit_expressions(expressions)
         reset = widgets.Button(description="reset all", icon="undo", layout=widgets.Layout(flex="0 0 110px"))
@@ -69,11 +73,11 @@ class ParameterPanel:
 
     def __getitem__(self, name: str) -> widgets.Widget:
         """The slider of "stage.name"; setting its ``value`` acts like moving it."""
-        return self.controls[name]
+        return self.controls[Parameters.current_name(name)]
 
     def set(self, **values) -> None:
         """Move several sliders at once, named ``stage__name``; applied together."""
-        values = {name.replace("__", "."): value for name, value in values.items()}
+        values = {Parameters.current_name(name): value for name, value in values.items()}
         wanted = None
         with self._errors_shown():
             wanted = self.parameters.set(**values)
@@ -129,7 +133,7 @@ class ParameterPanel:
     def _control(self, row: dict, limits) -> widgets.Widget:
         name, value = _name(row), _value(self._start, _name(row))
         control = _control_for(row, value, limits)
-        control.description = row["name"]
+        control.description = LABELS.get(row["name"], row["name"])
         control.tooltip = f"{row['doc']} ({name})"
         control.style = {"description_width": "136px"}
         control.layout = widgets.Layout(width="318px")

@@ -17,8 +17,8 @@ from .face_view import FaceView
 from .kernel import BackgroundTask, on_main_thread, running_loop
 from .replay import Replay
 from .session import Session
+from .stage_explorer import ChartSource, StageExplorer
 from .thresholds import Thresholds
-from .workbench import ChartSource, Workbench
 
 
 class CorrectiveView:
@@ -120,7 +120,7 @@ class EnergyChart(LiveChart):
         finally:
             self._steered = False
 
-    def steer(self, bench: Workbench) -> None:
+    def steer(self, bench: StageExplorer) -> None:
         """Let the lines move the sliders of a workbench."""
 
         def moved(change) -> None:

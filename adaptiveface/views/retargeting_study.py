@@ -159,7 +159,7 @@ class RetargetingStudy:
         """(pane, n pane, 3) uint8: everybody at the player's frame, all seen from the same side."""
         index = self.player.index
         turn, tilt, zoom = self.view.camera
-        rotation = FACING if self.mode.value == SLIDERS else self.results[index].rigid[:3, :3]
+        rotation = FACING if self.mode.value == SLIDERS else self.results[index].head_pose[:3, :3]
         for axis, degrees in ((0, tilt), (1, -turn)):
             rotation = rotation @ rotation_vector_matrix(np.radians(degrees) * np.eye(3)[axis])
         panes = []

@@ -46,12 +46,13 @@ def run_icp(
     shape: np.ndarray,
     normals: np.ndarray,
     start: np.ndarray,
-    prune: float,
+    max_distance: float,
     iterations: int = 12,
     step=point_to_plane_step,
 ) -> IcpRun:
     """Rigid ICP from ``start`` (4, 4) for a shape (n, 3) with normals (n, 3), head frame, with every iterate kept.
 
+    Partners farther away than ``max_distance`` mm are dropped.
     ``step(points, correspondences, centre, vertex_weights)`` -> (6,) is the heart of it.
     """
     pixels = frame.camera.project(transform_points(start, shape))
@@ -59,7 +60,7 @@ def run_icp(
     weights, middle = np.ones(len(shape)), shape.mean(axis=0)
 
     def associate(pose: np.ndarray) -> Correspondences:
-        return find_correspondences(surface, shape, normals, prune, pose)
+        return find_correspondences(surface, shape, normals, max_distance, pose)
 
     def advance(pose: np.ndarray, matches: Correspondences) -> tuple[np.ndarray, float]:
         centre = transform_points(pose, middle)
@@ -91,7 +92,7 @@ class IcpStudy(_Study):
         self._centre, self._tree = self._shape.mean(axis=0), cKDTree(result.v1)
         self.view = FaceView.of(actor, ("head and depth points",), limits=(0, 6), label="distance of the depth points, mm")
         self.iteration = widgets.IntSlider(0, min=0, max=12, description="iteration", style=_STYLE, layout=_WIDE)
-        self.prune = ValueSlider(linear_steps(2, 60, 1), 25, description="prune, mm", style=_STYLE, layout=_WIDE)
+        self.max_distance = ValueSlider(linear_steps(2, 60, 1), 25, description="max distance, mm", style=_STYLE, layout=_WIDE)
         self.shift = ValueSlider(linear_steps(0, 60, 1), 10, description="start off by, mm", style=_STYLE, layout=_WIDE)
         self.turn = ValueSlider(linear_steps(-40, 40, 1), 8, description="turned by, degrees", style=_STYLE, layout=_WIDE)
         self.chart = LiveChart(
@@ -103,17 +104,17 @@ class IcpStudy(_Study):
             "ICP, step by step",
             log=True,
         )
-        self._assemble([self.iteration, self.prune, self.shift, self.turn])
+        self._assemble([self.iteration, self.max_distance, self.shift, self.turn])
         self.box.layout.max_height, self.box.children = None, (*self.box.children, self.chart.widget)
 
     def draw(self) -> None:
-        start = displaced(self.result.rigid, self._centre, self.shift.value, self.turn.value)
-        self.run = run_icp(self.frame, self._shape, self._normals, start, self.prune.value)
+        start = displaced(self.result.head_pose, self._centre, self.shift.value, self.turn.value)
+        self.run = run_icp(self.frame, self._shape, self._normals, start, self.max_distance.value)
         k = min(self.iteration.value, len(self.run.poses) - 1)
         points = depth_points(self.frame, self.run.poses[k], self._centre)
         self.view.show(0, self._vertices)
         self.view.show_points(0, points, self._residuals(points))
-        goal = transform_points(self.result.rigid, self._shape)
+        goal = transform_points(self.result.head_pose, self._shape)
         errors = [np.linalg.norm(transform_points(pose, self._shape) - goal, axis=1).mean() for pose in self.run.poses]
         rule = (np.array([0, 12]), np.array([3.0, 3.0]))
         self.chart.update(
@@ -128,7 +129,7 @@ class IcpStudy(_Study):
         """(p,) distance of depth points from the plane of the nearest vertex; NaN beyond the pruning distance."""
         distance, nearest = self._tree.query(points)
         along = np.abs(((points - self._vertices[nearest]) * self._all_normals[nearest]).sum(axis=1))
-        return np.where(distance < self.prune.value, along, np.nan)
+        return np.where(distance < self.max_distance.value, along, np.nan)
 
 
 def rotation_angle(a: np.ndarray, b: np.ndarray) -> float:
@@ -147,7 +148,7 @@ def pose_errors(session: Session, **changes) -> np.ndarray:
     centre = truth.neutral[actor.frontal].mean(axis=0)
     return np.array(
         [
-            pose_error(result.rigid, truth[frame.index].rigid, alignment, centre)
+            pose_error(result.head_pose, truth[frame.index].head_pose, alignment, centre)
             for result, frame in zip(replay.run(), session.frames, strict=True)
             if result.tracked
         ]

@@ -211,7 +211,7 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
                 frame.features.pixels,
                 frame.features.confidence,
                 truth.vertices.astype(np.float32),
-                truth.rigid,
+                truth.head_pose,
                 truth.performance,
             )
             for column, value in zip(rows.values(), values, strict=True):

@@ -105,7 +105,7 @@ def main() -> None:
                 break
             with lab.chromium_page() as page:
                 lab.open_notebook(page, address, name)
-                lab.run_cells(page, lab.cell_with(name, "views.Workbench("))
+                lab.run_cells(page, lab.cell_with(name, "views.StageExplorer("))
                 page.wait_for_timeout(3000)
                 times = slider_to_pixels(page, parameter)
                 same = sum(map(math.isnan, times))  # the picture did not change: nothing was sent

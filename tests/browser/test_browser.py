@@ -36,7 +36,7 @@ def page():
 def workbench(page, address: str, name: str):
     """Open a notebook, run it up to its first workbench; returns the face's and the first chart's picture."""
     lab.open_notebook(page, address, name)
-    lab.run_cells(page, lab.cell_with(name, "views.Workbench("))
+    lab.run_cells(page, lab.cell_with(name, "views.StageExplorer("))
     face, chart = page.locator("canvas.adaptiveface-face").first, page.locator("img.adaptiveface-chart").first
     face.wait_for(state="visible", timeout=180_000)
     chart.wait_for(state="visible", timeout=240_000)

@@ -26,7 +26,7 @@ if lab.CHROMIUM is None:
 
 NOTEBOOKS = sorted(path.name for path in lab.NOTEBOOKS.glob("*.ipynb"))
 #: What makes the widgets of the notebooks; the cells after the last of them are not run.
-MAKERS = ("Workbench(", "Study(", "LiveView(")
+MAKERS = ("StageExplorer(", "Study(", "LiveView(")
 #: Notes every value that the browser sends and that differs from the kernel's.
 WATCH = """
 import json
@@ -44,8 +44,8 @@ COMPARE = """
 import gc
 from dataclasses import asdict
 from adaptiveface.parameters import Parameters
-from adaptiveface.views import LiveView, ParameterPanel, Workbench
-found = [thing for thing in gc.get_objects() if type(thing) in (LiveView, ParameterPanel, Workbench)]
+from adaptiveface.views import LiveView, ParameterPanel, StageExplorer
+found = [thing for thing in gc.get_objects() if type(thing) in (LiveView, ParameterPanel, StageExplorer)]
 held = [t.run.session.parameters if isinstance(t, LiveView) else t.parameters for t in found]
 def differences(one):
     return [f"{stage}.{name} = {value!r}" for stage, values in asdict(one).items() for name, value in values.items()
@@ -109,7 +109,9 @@ def test_what_is_shown_and_not_touched_stays_as_it_is(page, address, name):
     seen = json.loads(lab.run_code(page, COMPARE))
     lab.shut_down(page)
     assert seen["changed"] == [] and seen["sent"] == []
-    assert (seen["panels"] > 0) == any(marker in (lab.NOTEBOOKS / name).read_text() for marker in ("Workbench(", "LiveView("))
+    assert (seen["panels"] > 0) == any(
+        marker in (lab.NOTEBOOKS / name).read_text() for marker in ("StageExplorer(", "LiveView(")
+    )
     assert tabs >= {"04_blendshape_fit.ipynb": 2, "live_sensor.ipynb": 10}.get(name, 0)
 
 
@@ -172,8 +174,8 @@ def test_a_number_is_typed_and_a_contradiction_is_refused(everything):
 
     assert write("blendshapes.sparsity", "3.37") == "3.37 3.37"
     assert write("kalman.process_noise", "1e-3") == "0.001 0.001"
-    assert write("rigid.prune", "100000") == "200.0 200.0", "the end of the slider"
-    assert write("rigid.prune", "many") == "200.0 200.0"
+    assert write("rigid.max_correspondence_distance", "100000") == "200.0 200.0", "the end of the slider"
+    assert write("rigid.max_correspondence_distance", "many") == "200.0 200.0"
     assert write("adaptive_pca.valid_min", "250") == "1.0 250.0", "above valid_max"
     message = page.locator(".adaptiveface-message")
     assert "valid_min = 250 is above adaptive_pca.valid_max = 100" in message.inner_text()

@@ -33,7 +33,7 @@ CHARTS_PER_SECOND = 6.0
 ChartSource = Callable[[Replay], dict[str, np.ndarray]]
 
 
-class Workbench:
+class StageExplorer:
     """One stage to see and to move: ``widget`` is what to display, :meth:`close` stops everything it runs.
 
     ``controls``: stages or parameters for the panel. ``panes``: title -> :data:`Pane`. ``charts``: pairs of a
@@ -178,7 +178,7 @@ class Workbench:
         self.view.refresh()
         if self.camera:
             points = result.vertices[self.session.actor.frontal][::6] if result.tracked else None
-            features = model_features(self.session, result.v4, result.rigid) if result.tracked else None
+            features = model_features(self.session, result.v4, result.head_pose) if result.tracked else None
             self.camera.show(frame, points, features)
         if self.extra is not None:
             self.extra(self.replay, index)

@@ -1,0 +1,89 @@
+"""Names that were changed, and the old ones, which work for one more version with a ``DeprecationWarning``.
+
+One table for classes (parameters, keywords and attributes) and one for modules (functions and classes). A name in a file
+(``rigid`` in ``result.npz``, the parameters stored there) is no name of the program: files keep theirs and are read without
+a warning.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+_REACH = "max_correspondence_distance"
+_POSE = {"rigid": "head_pose"}
+#: Class -> its old names -> those of today.
+OLD_NAMES: dict[str, dict[str, str]] = {
+    "RigidParameters": {"prune": _REACH, "lost": "max_residual"},
+    "BlendshapeParameters": {"prune": _REACH, "turned": "profile_stiffness", "every": "vertex_stride"},
+    "LaplacianParameters": {"prune": _REACH, "steps": "cg_iterations"},
+    "FusionParameters": {"prune": _REACH},
+    "FitParameters": {"reach": _REACH},
+    "ShrinkWrapParameters": {"reach": _REACH},
+    "RefinementParameters": {"alike": "correlation_length"},
+    "AnimatedMesh": _POSE,
+    "GroundTruth": _POSE,
+    "Performance": _POSE,
+    "Result": _POSE,
+    "ResultFrame": _POSE,
+    "TrackedFrame": _POSE,
+    "TruthFrame": _POSE,
+    "Correspondences": {"alike": "equally_weighted"},
+}
+#: Module -> its old names -> module and name of today.
+OLD_OBJECTS: dict[str, dict[str, tuple[str, str]]] = {
+    "adaptiveface.views": {"Workbench": ("adaptiveface.views.stage_explorer", "StageExplorer")},
+}
+
+AnyClass = TypeVar("AnyClass", bound=type)
+
+
+def warn(old: str, new: str, stacklevel: int = 3) -> None:
+    """Say that ``old`` is called ``new``; ``stacklevel`` as of :func:`warnings.warn`, seen from here."""
+    warnings.warn(f"{old} is now called {new}; the old name goes with the next version", DeprecationWarning, stacklevel)
+
+
+def renamed(cls: AnyClass) -> AnyClass:
+    """Class decorator: the old names of ``OLD_NAMES`` work as attributes and as keywords of the constructor.
+
+    Where both names are given, the old one counts: ``dataclasses.replace(x, old=value)`` passes both.
+    """
+    names, make = OLD_NAMES[cls.__name__], cls.__init__
+
+    @functools.wraps(make)
+    def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
+        for old in names.keys() & kwargs.keys():
+            warn(f"{cls.__name__}({old}=...)", names[old])
+            kwargs[names[old]] = kwargs.pop(old)
+        make(self, *args, **kwargs)
+
+    cls.__init__ = __init__
+    for old, new in names.items():
+        setattr(cls, old, property(_reader(cls.__name__, old, new)))
+    return cls
+
+
+def _reader(owner: str, old: str, new: str) -> Callable[[Any], Any]:
+    def read(self: Any) -> Any:
+        warn(f"{owner}.{old}", new)
+        return getattr(self, new)
+
+    read.__doc__ = f"Deprecated; now ``{new}``."
+    return read
+
+
+def old_objects(module: str) -> Callable[[str], Any]:
+    """The ``__getattr__`` of a module whose names have changed, by ``OLD_OBJECTS``."""
+    names: Mapping[str, tuple[str, str]] = OLD_OBJECTS[module]
+
+    def find(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        home, new = names[name]
+        warn(f"{module}.{name}", f"{home}.{new}")
+        return getattr(importlib.import_module(home), new)
+
+    return find
