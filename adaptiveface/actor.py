@@ -19,6 +19,7 @@ from .npz import Field, check_indices, load_checked
 from .polydata import cloud, expression_weights, surface
 
 if TYPE_CHECKING:
+    from .face_model import FaceModel
     from .polydata import PolyData
 
 #: A rig of 100,000 vertices and 100 expressions has half of it.
@@ -70,6 +71,20 @@ class Actor:
     feature_ids: np.ndarray = field(default_factory=lambda: FEATURE_IDS)
     appearance: Appearance | None = None
     landmarks: FeatureSet | None = None
+
+    @classmethod
+    def untransferred(cls, model: FaceModel, neutral: np.ndarray) -> Actor:
+        """The rig of a known neutral (N, 3) mm with the model's own expressions, for faces that are rendered from it."""
+        return cls(
+            neutral,
+            model.generic_expressions,
+            model.triangles,
+            model.frontal,
+            model.generic_names,
+            model.feature_triangles,
+            model.feature_weights,
+            model.depth_valid,
+        )
 
     @property
     def feature_vertices(self) -> np.ndarray:

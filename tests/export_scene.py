@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import socket
+
 import numpy as np
 from scenes import exact_actor
 
 from adaptiveface.actor import Actor
+from adaptiveface.export.animation import AnimatedMesh, actor_animation, character_animation
 from adaptiveface.mesh import transform_points
 from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
+from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.retarget import retarget
 from adaptiveface.synthetic.script import HeadMotion, performance
 from adaptiveface.tracking.types import STAGE_NAMES
 
@@ -70,3 +75,24 @@ def tracked_result(seed: int = 0, frames: int = FRAMES) -> tuple[Actor, Result, 
         correctives=correctives.astype(np.float32),
     )
     return actor, result, v4
+
+
+def received(listener: socket.socket) -> list:
+    """The OSC messages (address, arguments) that reach a socket until it is quiet."""
+    from pythonosc.osc_bundle import OscBundle
+
+    messages = []
+    listener.settimeout(0.5)
+    try:
+        while True:
+            data = listener.recv(65536)
+            assert len(data) <= 1472
+            messages += [(m.address, list(m.params)) for m in OscBundle(data)]
+    except TimeoutError:
+        return messages
+
+
+def animated_meshes() -> dict[str, AnimatedMesh]:
+    """The tracked actor and a character that it drives."""
+    actor, result, _ = tracked_result()
+    return {"actor": actor_animation(result, actor), "hag": character_animation(load_character("hag"), retarget(result))}

@@ -18,16 +18,7 @@ def exact_actor(identity_seed: int = 0) -> Actor:
     """A rig whose neutral and blendshapes are those that the frames are rendered from."""
     model = embedded_face_model()
     neutral = model.neutral(0.7 * np.random.default_rng(identity_seed).normal(size=20))
-    return Actor(
-        neutral,
-        model.generic_expressions,
-        model.triangles,
-        model.frontal,
-        model.generic_names,
-        model.feature_triangles,
-        model.feature_weights,
-        model.depth_valid,
-    )
+    return Actor.untransferred(model, neutral)
 
 
 def head_pose(rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 600.0)) -> np.ndarray:

@@ -128,19 +128,6 @@ class Sensor:
         return Truth(transform_points(self.rigid(i), head), self.rigid(i), self.number[i])
 
 
-def actor_of(model, neutral) -> Actor:
-    return Actor(
-        neutral,
-        model.generic_expressions,
-        model.triangles,
-        model.frontal,
-        model.generic_names,
-        model.feature_triangles,
-        model.feature_weights,
-        model.depth_valid,
-    )
-
-
 def tracked(i, rigid, head, is_tracked=True) -> TrackedFrame:
     stages = head if isinstance(head, tuple) else (head,) * 4
     return TrackedFrame(i, i / 30, is_tracked, rigid, *stages, np.zeros(23), np.zeros(23), SampleState.LEARNED, i)
@@ -154,7 +141,7 @@ def sensor():
 def test_perfect_run_scores_zero_even_in_another_head_frame(sensor):
     other = pose(rotation=(0.02, 0.01, -0.03), translation=(1.0, 2.0, -3.0))
     back = np.linalg.inv(other)
-    actor = actor_of(sensor.model, transform_points(back, sensor.model.mean))
+    actor = Actor.untransferred(sensor.model, transform_points(back, sensor.model.mean))
     frames = [
         tracked(i, sensor.rigid(i) @ other, transform_points(back, sensor.model.mean + sensor.amount[i] * sensor.smile))
         for i in range(len(sensor))
@@ -166,7 +153,7 @@ def test_perfect_run_scores_zero_even_in_another_head_frame(sensor):
 
 
 def test_face_that_never_moves_scores_one(sensor):
-    actor = actor_of(sensor.model, sensor.model.mean)
+    actor = Actor.untransferred(sensor.model, sensor.model.mean)
     frames = [tracked(i, sensor.rigid(i), sensor.model.mean) for i in range(len(sensor))]
     result = ev.evaluate_run(frames, sensor, actor)
     for performance in (ev.FIRST, ev.REPEAT, None):
@@ -176,7 +163,7 @@ def test_face_that_never_moves_scores_one(sensor):
 def test_constant_error_of_the_neutral_is_removed_but_a_wrong_pose_is_not(sensor):
     rng = np.random.default_rng(5)
     bias = rng.normal(0, 1.0, sensor.model.mean.shape)
-    actor = actor_of(sensor.model, sensor.model.mean + bias)
+    actor = Actor.untransferred(sensor.model, sensor.model.mean + bias)
     heads = [sensor.model.mean + bias + a * sensor.smile for a in sensor.amount]
     result = ev.evaluate_run([tracked(i, sensor.rigid(i), h) for i, h in enumerate(heads)], sensor, actor)
     # rotating the (slightly mis-aligned) neutral leaves a little of the bias: far below the bias itself
@@ -194,7 +181,7 @@ def test_a_slid_cheek_moves_no_lip_where_the_neutral_frames_place_the_head(senso
     placed wrongly; by where the resting face was tracked, nothing is wrong."""
     slid = sensor.model.mean.copy()
     slid[slid[:, 1] < np.percentile(slid[sensor.model.frontal, 1], 30)] += [4.0, 0.0, 0.0]
-    actor = actor_of(sensor.model, slid)
+    actor = Actor.untransferred(sensor.model, slid)
     frames = [tracked(i, sensor.rigid(i), slid + a * sensor.smile) for i, a in enumerate(sensor.amount)]
     poses, true = np.array([frame.head_pose for frame in frames[:2]]), np.array([sensor.rigid(i) for i in range(2)])
     results = {}
@@ -207,7 +194,7 @@ def test_a_slid_cheek_moves_no_lip_where_the_neutral_frames_place_the_head(senso
 
 
 def test_stages_are_told_apart_and_the_normal_offset_is_found(sensor):
-    actor = actor_of(sensor.model, sensor.model.mean)
+    actor = Actor.untransferred(sensor.model, sensor.model.mean)
     frames = []
     for i in range(len(sensor)):
         head = sensor.model.mean + sensor.amount[i] * sensor.smile
@@ -226,7 +213,7 @@ def test_stages_are_told_apart_and_the_normal_offset_is_found(sensor):
 
 
 def test_lost_frames_are_counted_not_scored(sensor):
-    actor = actor_of(sensor.model, sensor.model.mean)
+    actor = Actor.untransferred(sensor.model, sensor.model.mean)
     frames = [tracked(i, sensor.rigid(i), sensor.model.mean, is_tracked=i != 3) for i in range(len(sensor))]
     result = ev.evaluate_run(frames, sensor, actor)
     assert result.lost[ev.FIRST] == 1 and len(result.index) == 5 and "1 lost" in result.table()

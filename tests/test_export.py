@@ -14,7 +14,7 @@ import threading
 
 import numpy as np
 import pytest
-from export_scene import FRAMES, tracked_result
+from export_scene import FRAMES, received, tracked_result
 from scipy.spatial.transform import Rotation
 
 from adaptiveface import cli
@@ -456,20 +456,6 @@ def test_addresses_stay_on_this_machine_unless_a_host_is_named(text, host, port)
 def test_bad_addresses(text):
     with pytest.raises(ParameterError):
         Address.parse(text, 1)
-
-
-def received(listener: socket.socket) -> list:
-    from pythonosc.osc_bundle import OscBundle
-
-    messages = []
-    listener.settimeout(0.5)
-    try:
-        while True:
-            data = listener.recv(65536)
-            assert len(data) <= 1472
-            messages += [(m.address, list(m.params)) for m in OscBundle(data)]
-    except TimeoutError:
-        return messages
 
 
 def test_vmc_and_osc_messages(scene):

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from blender_runs import evaluate, needs_blender
-from export_scene import tracked_result
+from export_scene import animated_meshes, tracked_result
 
 from adaptiveface import cli
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
-from adaptiveface.export.animation import actor_animation, character_animation
 from adaptiveface.export.obj_sequence import (
     obj_text,
     read_obj_sequence,
@@ -20,8 +19,6 @@ from adaptiveface.export.obj_sequence import (
 )
 from adaptiveface.export.point_cache import cache_bytes, read_point_cache, write_point_cache
 from adaptiveface.retargeting import UNITS
-from adaptiveface.retargeting.character import load_character
-from adaptiveface.retargeting.retarget import retarget
 
 FRAMES = (0, 7, 15, 23)
 NEAR = 0.05  # mm
@@ -29,8 +26,7 @@ NEAR = 0.05  # mm
 
 @pytest.fixture(scope="module")
 def meshes():
-    actor, result, _ = tracked_result()
-    return {"actor": actor_animation(result, actor), "hag": character_animation(load_character("hag"), retarget(result))}
+    return animated_meshes()
 
 
 def centred(mesh, frame: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from export_scene import received
 from scipy.spatial.transform import Rotation
 
 from adaptiveface import cli
@@ -216,20 +217,6 @@ def test_live_livelink_keeps_a_take_and_sends_on(tmp_path, capsys, monkeypatch):
     np.testing.assert_allclose(jaw, np.arange(len(jaw)) / 40, atol=1e-6)
     assert cli.main(["export", str(out), "--character", "baby", "--format", "arkit-csv"]) == 0
     listener.close()
-
-
-def received(listener: socket.socket) -> list:
-    from pythonosc.osc_bundle import OscBundle
-
-    messages = []
-    listener.settimeout(0.5)
-    try:
-        while True:
-            data = listener.recv(65536)
-            assert len(data) <= 1472
-            messages += [(m.address, list(m.params)) for m in OscBundle(data)]
-    except TimeoutError:
-        return messages
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from adaptiveface.registration.step import point_to_plane_step, rigid_jacobian
 from adaptiveface.registration.surface import depth_surface, occluded_share
 from adaptiveface.tracking.bounded import bounded_least_squares, sparse_least_squares
 from adaptiveface.tracking.detection import pose_from_features
-from adaptiveface.tracking.expression import BlendshapeFit
+from adaptiveface.tracking.expression import BlendshapeFit, Seen
 from adaptiveface.tracking.feature_rows import feature_rows
 from adaptiveface.tracking.kalman import CoefficientFilter
 from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation, PrefactoredSystem, feature_term
@@ -251,7 +251,7 @@ def test_the_pose_is_solved_for_the_coefficients_that_the_filter_leaves(actor, l
 
     def left(pose):
         """How far one more update of the pose would move the head at x, mm."""
-        update = fit.solve(fit._assemble(*arguments[:3], pose, x, x, normals)[0], x)[1](x)
+        update = fit.solve(fit._assemble(Seen(*arguments[:3], normals), pose, x, x)[0], x)[1](x)
         return np.linalg.norm(update[:3]) * 100 + np.linalg.norm(update[3:])
 
     assert left(pose) < 0.25 * left(raw_pose)

@@ -8,15 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from blender_runs import evaluate, needs_blender
-from export_scene import tracked_result
+from export_scene import animated_meshes, tracked_result
 
 pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
 
 from adaptiveface import cli
-from adaptiveface.export.animation import actor_animation, character_animation
 from adaptiveface.export.usd import prim_names, read_usd, write_usd
-from adaptiveface.retargeting.character import load_character
-from adaptiveface.retargeting.retarget import retarget
 
 FRAMES = (0, 7, 15, 23)
 NEAR = 0.05  # mm
@@ -24,8 +21,7 @@ NEAR = 0.05  # mm
 
 @pytest.fixture(scope="module")
 def meshes():
-    actor, result, _ = tracked_result()
-    return {"actor": actor_animation(result, actor), "hag": character_animation(load_character("hag"), retarget(result))}
+    return animated_meshes()
 
 
 @pytest.fixture(scope="module")

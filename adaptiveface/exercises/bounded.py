@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear
 
 from ..tracking.expression import BlendshapeFit
 from ..tracking.stages import Stages
-from .grading import Case, Exercise, Mistake, Wrong, as_array
+from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
 
 TASK = (
     "bounded_least_squares(h, g, lower, upper): h (A, A) symmetric positive definite, g, lower, upper (A,) "
@@ -18,18 +18,16 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 4, count: int = 8) -> list[Case]:
+@drawn(seed=4, count=8)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Correlated normal equations with none, some or many bounds active; later ones with bounds other than 0, 1."""
-    rng, cases = np.random.default_rng(seed), []
-    for number in range(count):
-        a = int(rng.integers(4, 24))
-        jacobian = rng.normal(size=(3 * a, a)) + 0.8 * rng.normal(size=(3 * a, 1))
-        wanted = rng.uniform(-0.8, 1.8, a) if number else rng.uniform(0.2, 0.8, a)
-        lower, upper = np.zeros(a), np.ones(a)
-        if number >= count // 2:
-            lower, upper = rng.uniform(-0.5, -0.1, a), rng.uniform(0.3, 1.5, a)
-        cases.append(dict(h=jacobian.T @ jacobian, g=jacobian.T @ jacobian @ wanted, lower=lower, upper=upper))
-    return cases
+    a = int(rng.integers(4, 24))
+    jacobian = rng.normal(size=(3 * a, a)) + 0.8 * rng.normal(size=(3 * a, 1))
+    wanted = rng.uniform(-0.8, 1.8, a) if number else rng.uniform(0.2, 0.8, a)
+    lower, upper = np.zeros(a), np.ones(a)
+    if number >= 4:
+        lower, upper = rng.uniform(-0.5, -0.1, a), rng.uniform(0.3, 1.5, a)
+    return dict(h=jacobian.T @ jacobian, g=jacobian.T @ jacobian @ wanted, lower=lower, upper=upper)
 
 
 def truth(h, g, lower, upper):

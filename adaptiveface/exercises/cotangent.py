@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..mesh import cotangent_laplacian, vertex_areas
-from .grading import Case, Exercise, Mistake, as_array
+from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
 TASK = (
@@ -16,18 +16,16 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 15, count: int = 5) -> list[Case]:
+@drawn(seed=15, count=5)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Bumpy patches with a border and some obtuse angles."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        rows, columns = int(rng.integers(3, 7)), int(rng.integers(3, 7))
-        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        vertices = np.stack([3.0 * x.ravel(), 4.0 * y.ravel(), np.zeros(x.size)], axis=1) + 0.7 * rng.normal(size=(x.size, 3))
-        corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-        lower = np.stack([corner, corner + 1, corner + columns], axis=1)
-        upper = np.stack([corner + 1, corner + columns + 1, corner + columns], axis=1)
-        cases.append(dict(vertices=vertices, triangles=np.concatenate([lower, upper])))
-    return cases
+    rows, columns = int(rng.integers(3, 7)), int(rng.integers(3, 7))
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    vertices = np.stack([3.0 * x.ravel(), 4.0 * y.ravel(), np.zeros(x.size)], axis=1) + 0.7 * rng.normal(size=(x.size, 3))
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    lower = np.stack([corner, corner + 1, corner + columns], axis=1)
+    upper = np.stack([corner + 1, corner + columns + 1, corner + columns], axis=1)
+    return dict(vertices=vertices, triangles=np.concatenate([lower, upper]))
 
 
 def truth(vertices, triangles):

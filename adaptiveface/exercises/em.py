@@ -9,7 +9,7 @@ import numpy as np
 from ..parameters import Parameters
 from ..tracking.adaptive_pca import AdaptiveModel, e_step, m_step
 from ..tracking.stages import Stages
-from .grading import Case, Exercise, Mistake, Wrong, as_array, scale_hint
+from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn, scale_hint
 
 TASK = (
     "em_step(correctives, samples): M (d, k) and S (d, s) -> (Y, M): the E-step's coefficients Y (k, s) of the samples "
@@ -18,16 +18,14 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 6, count: int = 6) -> list[Case]:
+@drawn(seed=6, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Samples with a decaying spectrum and a mean, guesses of M that are orthonormal in every other case."""
-    rng, cases = np.random.default_rng(seed), []
-    for number in range(count):
-        d, k, s = 3 * int(rng.integers(20, 80)), int(rng.integers(2, 8)), int(rng.integers(12, 40))
-        shapes = np.linalg.qr(rng.normal(size=(d, s)))[0]
-        samples = shapes @ (rng.normal(size=(s, s)) * np.geomspace(20, 2, s)[:, None]) + 3 * shapes[:, :1]
-        guess = samples[:, :k] + rng.normal(size=(d, k))
-        cases.append(dict(correctives=guess if number % 2 == 0 else np.linalg.qr(guess)[0], samples=samples))
-    return cases
+    d, k, s = 3 * int(rng.integers(20, 80)), int(rng.integers(2, 8)), int(rng.integers(12, 40))
+    shapes = np.linalg.qr(rng.normal(size=(d, s)))[0]
+    samples = shapes @ (rng.normal(size=(s, s)) * np.geomspace(20, 2, s)[:, None]) + 3 * shapes[:, :1]
+    guess = samples[:, :k] + rng.normal(size=(d, k))
+    return dict(correctives=guess if number % 2 == 0 else np.linalg.qr(guess)[0], samples=samples)
 
 
 def truth(correctives, samples):

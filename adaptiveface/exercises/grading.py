@@ -7,6 +7,7 @@ no mistake is described by its properties (shape, bounds, orthonormality) and by
 from __future__ import annotations
 
 import copy
+import functools
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +26,21 @@ LINE = 100
 
 #: Keyword arguments of one call of the learner's function.
 Case = dict[str, Any]
+
+
+def drawn(seed: int, count: int) -> Callable[[Callable[[np.random.Generator, int], Case]], Callable[[], list[Case]]]:
+    """Decorator: a function that draws case ``number`` becomes one that draws ``count`` of them, always the same."""
+
+    def decorate(draw: Callable[[np.random.Generator, int], Case]) -> Callable[[], list[Case]]:
+        @functools.wraps(draw)
+        def cases() -> list[Case]:
+            rng = np.random.default_rng(seed)
+            return [draw(rng, number) for number in range(count)]
+
+        del cases.__wrapped__  # it is called without arguments
+        return cases
+
+    return decorate
 
 
 class Wrong(Exception):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, as_array
+from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
 TASK = (
@@ -15,21 +15,17 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 12, count: int = 6) -> list[Case]:
+@drawn(seed=12, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Few or many distances, so that the prior decides much or little."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        k = int(rng.integers(4, 20))
-        m = int(rng.integers(k // 2, 6 * k))
-        cases.append(
-            dict(
-                jacobian=rng.normal(size=(m, k)),
-                distances=rng.normal(size=m),
-                identity=rng.normal(size=k),
-                sigma=float(rng.choice([0.4, 0.7, 1.6, 2.5])),
-            )
-        )
-    return cases
+    k = int(rng.integers(4, 20))
+    m = int(rng.integers(k // 2, 6 * k))
+    return dict(
+        jacobian=rng.normal(size=(m, k)),
+        distances=rng.normal(size=m),
+        identity=rng.normal(size=k),
+        sigma=float(rng.choice([0.4, 0.7, 1.6, 2.5])),
+    )
 
 
 def identity_step(jacobian, distances, sigma, identity, prior=1.0, pull=1.0, data=None, sign=-1.0, whole=False):
@@ -85,13 +81,5 @@ HINTS = (
 )
 
 IDENTITY_STEP = Exercise(
-    "identity_step",
-    TASK,
-    random_cases,
-    identity_step,
-    parse,
-    close,
-    mistakes=MISTAKES,
-    hints=HINTS,
-    notebook="01_neutral_scan",
+    "identity_step", TASK, random_cases, identity_step, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="01_neutral_scan"
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..tracking.kalman import CoefficientFilter, FilterState
 from ..tracking.stages import Stages
-from .grading import Case, Exercise, Mistake
+from .grading import Case, Exercise, Mistake, drawn
 from .pairs import close, packed
 
 TASK = (
@@ -17,21 +17,17 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 14, count: int = 6) -> list[Case]:
+@drawn(seed=14, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """States with velocities, covariances with correlation, noises of different size."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        a, root = int(rng.integers(3, 24)), rng.normal(size=(2, 2))
-        cases.append(
-            dict(
-                state=rng.normal(size=(2, a)),
-                covariance=root @ root.T + 0.1 * np.eye(2),
-                measured=rng.normal(size=a),
-                process_noise=float(rng.uniform(0.02, 0.2)),
-                measurement_noise=float(rng.uniform(0.3, 0.9)),
-            )
-        )
-    return cases
+    a, root = int(rng.integers(3, 24)), rng.normal(size=(2, 2))
+    return dict(
+        state=rng.normal(size=(2, a)),
+        covariance=root @ root.T + 0.1 * np.eye(2),
+        measured=rng.normal(size=a),
+        process_noise=float(rng.uniform(0.02, 0.2)),
+        measurement_noise=float(rng.uniform(0.3, 0.9)),
+    )
 
 
 def kalman_step(

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..tracking.laplacian import LaplacianDeformation
 from ..tracking.stages import Stages
-from .grading import Case, Exercise, Mistake, as_array, scale_hint
+from .grading import Case, Exercise, Mistake, as_array, drawn, scale_hint
 
 TASK = (
     "right_hand_side(distances, normals, weights, w1, features): b (n, 3) of A d = b, the minimum of w1 sum_i "
@@ -36,32 +36,28 @@ class FeaturePull:
     weights: np.ndarray
 
 
-def random_cases(seed: int = 5, count: int = 6) -> list[Case]:
+@drawn(seed=5, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Random vertices, a fifth without depth, and features that share corners."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        n, f, r = int(rng.integers(30, 120)), int(rng.integers(5, 40)), int(rng.integers(2, 4))
-        normals = rng.normal(size=(n, 3))
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        weights = np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.2, 1.0, n))
-        corners = np.array([rng.choice(n // 3, 3, replace=False) for _ in range(f)])
-        features = FeaturePull(
-            corners,
-            rng.dirichlet(np.ones(3), f),
-            rng.normal(size=(f, r, 3)),
-            rng.normal(size=(f, r)),
-            rng.uniform(0.02, 0.3, (f, r)),
-        )
-        cases.append(
-            dict(
-                distances=2 * rng.normal(size=n),
-                normals=normals,
-                weights=weights,
-                w1=float(rng.uniform(0.05, 0.5)),
-                features=features,
-            )
-        )
-    return cases
+    n, f, r = int(rng.integers(30, 120)), int(rng.integers(5, 40)), int(rng.integers(2, 4))
+    normals = rng.normal(size=(n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    weights = np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.2, 1.0, n))
+    corners = np.array([rng.choice(n // 3, 3, replace=False) for _ in range(f)])
+    features = FeaturePull(
+        corners,
+        rng.dirichlet(np.ones(3), f),
+        rng.normal(size=(f, r, 3)),
+        rng.normal(size=(f, r)),
+        rng.uniform(0.02, 0.3, (f, r)),
+    )
+    return dict(
+        distances=2 * rng.normal(size=n),
+        normals=normals,
+        weights=weights,
+        w1=float(rng.uniform(0.05, 0.5)),
+        features=features,
+    )
 
 
 def depth_part(distances, normals, weights, w1) -> np.ndarray:

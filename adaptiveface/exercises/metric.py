@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, as_array
+from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
 TASK = (
@@ -15,15 +15,13 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 18, count: int = 6) -> list[Case]:
+@drawn(seed=18, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Faces of which a part moves, in frames that move more or less; the tracker follows with an error."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        f, n = int(rng.integers(4, 12)), int(rng.integers(20, 60))
-        true = rng.normal(size=(f, n, 3)) * rng.uniform(0, 4, (1, n, 1)) * rng.uniform(0.2, 1.5, (f, 1, 1))
-        tracked = 0.7 * true + 0.5 * rng.normal(size=true.shape)
-        cases.append(dict(tracked=tracked, true=true, threshold=2.0))
-    return cases
+    f, n = int(rng.integers(4, 12)), int(rng.integers(20, 60))
+    true = rng.normal(size=(f, n, 3)) * rng.uniform(0, 4, (1, n, 1)) * rng.uniform(0.2, 1.5, (f, 1, 1))
+    tracked = 0.7 * true + 0.5 * rng.normal(size=true.shape)
+    return dict(tracked=tracked, true=true, threshold=2.0)
 
 
 def lengths(field) -> np.ndarray:

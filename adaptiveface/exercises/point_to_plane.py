@@ -10,7 +10,7 @@ import numpy as np
 from ..mesh import rigid_alignment, rotation_vector_matrix
 from ..tracking.rigid import RigidTracker
 from ..tracking.stages import Stages
-from .grading import Case, Exercise, Mistake, Wrong, as_array
+from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
 
 TASK = (
     "point_to_plane_step(points, targets, normals, weights): points v_i (n, 3), the depth points p_i (n, 3) "
@@ -23,25 +23,23 @@ TASK = (
 _TURNED_BACK = "the rotation turns the wrong way: it is the transpose, or the cross product is n x v instead of v x n"
 
 
-def random_cases(seed: int = 3, count: int = 6) -> list[Case]:
+@drawn(seed=3, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Bulging patches in front of the camera, moved a little, with noise, slid targets and outliers of zero weight."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        n = int(rng.integers(60, 300))
-        normals = rng.normal(size=(n, 3)) - [0, 0, 1.5]
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        points = normals * [75, 100, 60] + rng.normal(size=(n, 3)) + [rng.uniform(-80, 80), rng.uniform(-50, 50), 600]
-        centre = points.mean(axis=0)
-        turn, shift = 0.004 * rng.normal(size=3), 0.7 * rng.normal(size=3)
-        moved = (points - centre) @ rotation_vector_matrix(turn).T + centre + shift
-        slide = 3.0 * np.cross(normals, rng.normal(size=(n, 3)))
-        outlier = rng.random(n) < 0.2
-        along = np.where(outlier, rng.uniform(5, 15, n), 0.3 * rng.normal(size=n))
-        weights = np.where(outlier, 0.0, np.exp(rng.normal(size=n)))
-        weights[rng.random(n) < 0.05] = 0.0
-        along += np.where(weights < np.median(weights), 0.5, 0.0)  # the lightly weighted half is biased
-        cases.append(dict(points=points, targets=moved + slide + along[:, None] * normals, normals=normals, weights=weights))
-    return cases
+    n = int(rng.integers(60, 300))
+    normals = rng.normal(size=(n, 3)) - [0, 0, 1.5]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = normals * [75, 100, 60] + rng.normal(size=(n, 3)) + [rng.uniform(-80, 80), rng.uniform(-50, 50), 600]
+    centre = points.mean(axis=0)
+    turn, shift = 0.004 * rng.normal(size=3), 0.7 * rng.normal(size=3)
+    moved = (points - centre) @ rotation_vector_matrix(turn).T + centre + shift
+    slide = 3.0 * np.cross(normals, rng.normal(size=(n, 3)))
+    outlier = rng.random(n) < 0.2
+    along = np.where(outlier, rng.uniform(5, 15, n), 0.3 * rng.normal(size=n))
+    weights = np.where(outlier, 0.0, np.exp(rng.normal(size=n)))
+    weights[rng.random(n) < 0.05] = 0.0
+    along += np.where(weights < np.median(weights), 0.5, 0.0)  # the lightly weighted half is biased
+    return dict(points=points, targets=moved + slide + along[:, None] * normals, normals=normals, weights=weights)
 
 
 def solve(points, targets, normals, weights, centre=None, power: float = 0.5) -> tuple[np.ndarray, np.ndarray]:

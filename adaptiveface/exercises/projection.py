@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake
+from .grading import Case, Exercise, Mistake, drawn
 from .pairs import close, packed
 
 TASK = (
@@ -15,15 +15,13 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 17, count: int = 9) -> list[Case]:
+@drawn(seed=17, count=9)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Samples inside the thresholds, below and above them."""
-    rng, cases = np.random.default_rng(seed), []
-    for number in range(count):
-        size, a, k = 3 * int(rng.integers(20, 60)), int(rng.integers(3, 9)), int(rng.integers(1, 6))
-        basis = np.linalg.qr(rng.normal(size=(size, a + k)))[0]
-        displacement = rng.normal(size=size) * (0.4, 3.0, 40.0)[number % 3] + 25 * basis @ rng.normal(size=a + k)
-        cases.append(dict(displacement=displacement, anchors=basis[:, :a], correctives=basis[:, a:], low=1.0, high=600.0))
-    return cases
+    size, a, k = 3 * int(rng.integers(20, 60)), int(rng.integers(3, 9)), int(rng.integers(1, 6))
+    basis = np.linalg.qr(rng.normal(size=(size, a + k)))[0]
+    displacement = rng.normal(size=size) * (0.4, 3.0, 40.0)[number % 3] + 25 * basis @ rng.normal(size=a + k)
+    return dict(displacement=displacement, anchors=basis[:, :a], correctives=basis[:, a:], low=1.0, high=600.0)
 
 
 def project(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from .grading import Case, Exercise, Mistake, as_array
+from .grading import Case, Exercise, Mistake, as_array, drawn
 
 TASK = (
     "resolve(basis, displacement, weights): basis (m, A), the expressions as columns, displacement (m,) of v4 from the "
@@ -14,17 +14,15 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 19, count: int = 6) -> list[Case]:
+@drawn(seed=19, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Few expressions at work, and motion that none of them holds."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        a = int(rng.integers(5, 20))
-        basis = rng.normal(size=(4 * a, a)) + 0.6 * rng.normal(size=(4 * a, 1))
-        x = np.where(rng.random(a) < 0.4, rng.uniform(0.2, 1.2, a), 0.0)
-        displacement = basis @ x + 1.2 * rng.normal(size=4 * a)
-        weights = rng.uniform(0.6, 1.4) * np.linalg.norm(basis, axis=0)
-        cases.append(dict(basis=basis, displacement=displacement, weights=weights))
-    return cases
+    a = int(rng.integers(5, 20))
+    basis = rng.normal(size=(4 * a, a)) + 0.6 * rng.normal(size=(4 * a, 1))
+    x = np.where(rng.random(a) < 0.4, rng.uniform(0.2, 1.2, a), 0.0)
+    displacement = basis @ x + 1.2 * rng.normal(size=4 * a)
+    weights = rng.uniform(0.6, 1.4) * np.linalg.norm(basis, axis=0)
+    return dict(basis=basis, displacement=displacement, weights=weights)
 
 
 def solve(basis, displacement, weights, lower=0.0, upper=1.0):

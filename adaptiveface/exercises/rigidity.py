@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, as_array
+from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
 TASK = (
@@ -13,14 +13,12 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 13, count: int = 6) -> list[Case]:
+@drawn(seed=13, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Maps near and far from rotations."""
-    rng, cases = np.random.default_rng(seed), []
-    for number in range(count):
-        g = int(rng.integers(5, 40))
-        rotations = np.linalg.qr(rng.normal(size=(g, 3, 3)))[0]
-        cases.append(dict(maps=rotations + (0.02 + 0.15 * number) * rng.normal(size=(g, 3, 3))))
-    return cases
+    g = int(rng.integers(5, 40))
+    rotations = np.linalg.qr(rng.normal(size=(g, 3, 3)))[0]
+    return dict(maps=rotations + (0.02 + 0.15 * number) * rng.normal(size=(g, 3, 3)))
 
 
 def rigidity(maps, rows=False, cross=1.0, length=1.0, square=True, root=False, unit=1.0):

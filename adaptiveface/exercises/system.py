@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, as_array
+from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
 TASK = (
@@ -14,22 +14,18 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 16, count: int = 6) -> list[Case]:
+@drawn(seed=16, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Laplacians that are not symmetric, as one restricted to a region is not; weights of different size."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        n = int(rng.integers(8, 30))
-        weights = rng.uniform(0.2, 1.5, (n, n)) * (rng.random((n, n)) < 0.4)
-        laplacian = np.diag(weights.sum(axis=1) + 0.3) - weights
-        cases.append(
-            dict(
-                laplacian=laplacian,
-                w1=float(rng.uniform(0.05, 0.4)),
-                w2=float(rng.uniform(1.5, 6.0)),
-                targets=rng.normal(size=(n, 3)),
-            )
-        )
-    return cases
+    n = int(rng.integers(8, 30))
+    weights = rng.uniform(0.2, 1.5, (n, n)) * (rng.random((n, n)) < 0.4)
+    laplacian = np.diag(weights.sum(axis=1) + 0.3) - weights
+    return dict(
+        laplacian=laplacian,
+        w1=float(rng.uniform(0.05, 0.4)),
+        w2=float(rng.uniform(1.5, 6.0)),
+        targets=rng.normal(size=(n, 3)),
+    )
 
 
 def solve_deformation(laplacian, w1, w2, targets, smooth=None, data=None, right=None):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..blendshapes import deformation_gradients
-from .grading import Case, Exercise, Mistake, as_array
+from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
 TASK = (
@@ -15,16 +15,14 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 21, count: int = 6) -> list[Case]:
+@drawn(seed=21, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Triangles of a few millimetres, stretched, sheared and turned."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        t = int(rng.integers(4, 30))
-        neutral = 3.0 * rng.normal(size=(t, 3, 3)) + 40 * rng.normal(size=(t, 1, 3))
-        turn = np.linalg.qr(rng.normal(size=(t, 3, 3)))[0]
-        deformed = (neutral + 0.5 * rng.normal(size=neutral.shape)) @ turn + 5 * rng.normal(size=(t, 1, 3))
-        cases.append(dict(neutral=neutral, deformed=deformed))
-    return cases
+    t = int(rng.integers(4, 30))
+    neutral = 3.0 * rng.normal(size=(t, 3, 3)) + 40 * rng.normal(size=(t, 1, 3))
+    turn = np.linalg.qr(rng.normal(size=(t, 3, 3)))[0]
+    deformed = (neutral + 0.5 * rng.normal(size=neutral.shape)) @ turn + 5 * rng.normal(size=(t, 1, 3))
+    return dict(neutral=neutral, deformed=deformed)
 
 
 def truth(neutral, deformed):
@@ -94,13 +92,5 @@ HINTS = (
 )
 
 DEFORMATION_GRADIENT = Exercise(
-    "deformation_gradient",
-    TASK,
-    random_cases,
-    truth,
-    parse,
-    close,
-    mistakes=MISTAKES,
-    hints=HINTS,
-    notebook="02_blendshapes",
+    "deformation_gradient", TASK, random_cases, truth, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="02_blendshapes"
 )

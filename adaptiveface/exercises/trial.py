@@ -68,16 +68,7 @@ class BuiltInPerformance:
         model = embedded_face_model()
         self.seed = seed
         neutral = model.neutral(0.7 * np.random.default_rng(seed).normal(size=min(20, len(model.identity_modes))))
-        self.actor = Actor(
-            neutral,
-            model.generic_expressions,
-            model.triangles,
-            model.frontal,
-            model.generic_names,
-            model.feature_triangles,
-            model.feature_weights,
-            model.depth_valid,
-        )
+        self.actor = Actor.untransferred(model, neutral)
 
     def truth(self, index: int) -> np.ndarray:
         """(N, 3) true vertices of a frame in the camera frame, mm."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, Wrong
+from .grading import Case, Exercise, Mistake, Wrong, drawn
 from .pairs import close, packed
 
 TASK = (
@@ -15,25 +15,21 @@ TASK = (
 )
 
 
-def random_cases(seed: int = 11, count: int = 6) -> list[Case]:
+@drawn(seed=11, count=6)
+def random_cases(rng: np.random.Generator, number: int) -> Case:
     """Voxels in front of, near and behind the skin; some were never seen, some are seen at a grazing angle."""
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(count):
-        n, truncation = int(rng.integers(60, 200)), float(rng.uniform(3.0, 9.0))
-        weight = np.where(rng.random(n) < 0.3, 0.0, rng.uniform(0.2, 8.0, n))
-        distance = np.where(weight > 0, rng.uniform(-1, 1, n), 1.0)
-        measured, cosine = rng.uniform(-3, 3, n) * truncation, rng.uniform(0.0, 1.0, n)
-        cases.append(
-            dict(
-                distance=distance,
-                weight=weight,
-                measured=measured,
-                cosine=cosine,
-                truncation=truncation,
-                min_cosine=float(rng.uniform(0.15, 0.4)),
-            )
-        )
-    return cases
+    n, truncation = int(rng.integers(60, 200)), float(rng.uniform(3.0, 9.0))
+    weight = np.where(rng.random(n) < 0.3, 0.0, rng.uniform(0.2, 8.0, n))
+    distance = np.where(weight > 0, rng.uniform(-1, 1, n), 1.0)
+    measured, cosine = rng.uniform(-3, 3, n) * truncation, rng.uniform(0.0, 1.0, n)
+    return dict(
+        distance=distance,
+        weight=weight,
+        measured=measured,
+        cosine=cosine,
+        truncation=truncation,
+        min_cosine=float(rng.uniform(0.15, 0.4)),
+    )
 
 
 def integrate(

@@ -10,7 +10,7 @@ import numpy as np
 from ..face_model import FaceModel, embedded_face_model
 from ..frame import FEATURE_IDS
 from ..mesh import boundary_loops, rotation_vector_matrix, surface_points
-from .parts import CAVITY, CORNEA, eyeball_mesh, strip, teeth_mesh, tongue_mesh
+from .parts import CAVITY, CORNEA, eyeball_mesh, rim_height, smooth_ring, strip, teeth_mesh, tongue_mesh
 
 IRIS = (92, 116, 128)
 #: The rigid parts by number, and the number of what is soft.
@@ -104,7 +104,7 @@ class Insides:
     def _mouth(self, skin: np.ndarray) -> np.ndarray:
         rim, rest = skin[self.mouth_loop], self.neutral_skin[self.mouth_loop]
         moved, middle, rings = rim - rest, rest.mean(axis=0), []
-        smoothed = _smooth(moved)
+        smoothed = smooth_ring(moved)
         for depth, spread, follow, _ in _MOUTH:
             ring = rest + np.stack([np.zeros(len(rest)), spread * self.mouth_height, np.full(len(rest), -depth)], axis=1)
             ring[:, 0] = middle[0] + (rest[:, 0] - middle[0]) * (1 - 0.35 * (depth / _MOUTH[-1][0]) ** 2)
@@ -168,7 +168,7 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     centres, radii = _eyes(model, neutral, lids)
     near = tuple(np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0) for loop in lids)
     upper, lower, triangles_of_row, colours_of_row, tongue = _mouth_parts(marks)
-    height = _opening(neutral[mouth]) * _MOUTH_HEIGHT
+    height = rim_height(neutral[mouth]) * _MOUTH_HEIGHT
     ball, ball_triangles, ball_colours = eyeball_mesh(iris)
     flesh = np.array([[206, 148, 138], [150, 92, 88]], float)
     pieces, colours = [], []
@@ -278,20 +278,3 @@ def _closed(rings: int, count: int) -> np.ndarray:
     k = np.arange(count)
     end = np.stack([(rings - 1) * count + k, np.full(count, rings * count), (rings - 1) * count + (k + 1) % count], axis=1)
     return np.concatenate([strip(rings, count, closed=True), end])
-
-
-def _opening(rim: np.ndarray) -> np.ndarray:
-    """(n,) in [-1, 1]: positive on the upper half of the rim, 0 at the corners."""
-    left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
-    n, out = len(rim), np.zeros(len(rim))
-    halves = [np.arange(a, a + (b - a) % n + 1) % n for a, b in ((left, right), (right, left))]
-    halves.sort(key=lambda half: rim[half, 1].mean())
-    for half, sign in zip(halves, (-1.0, 1.0), strict=True):
-        out[half] = sign * np.sin(np.pi * np.linspace(0, 1, len(half))) ** 0.6
-    return out
-
-
-def _smooth(values: np.ndarray) -> np.ndarray:
-    for _ in range(6):
-        values = 0.25 * np.roll(values, 1, axis=0) + 0.5 * values + 0.25 * np.roll(values, -1, axis=0)
-    return values

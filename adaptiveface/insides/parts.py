@@ -97,3 +97,21 @@ def tongue_mesh(half_width: float, length: float) -> tuple[np.ndarray, np.ndarra
     vertices = np.concatenate(rings)
     shade = np.repeat(1.0 - 0.5 * along, 20)
     return vertices, strip(15, 20, closed=True)[:, ::-1], shade[:, None] * np.array(TONGUE, float)
+
+
+def rim_height(rim: np.ndarray) -> np.ndarray:
+    """(n,) in [-1, 1]: positive on the upper half of the rim, 0 at the corners."""
+    left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
+    n, out = len(rim), np.zeros(len(rim))
+    halves = [np.arange(a, a + (b - a) % n + 1) % n for a, b in ((left, right), (right, left))]
+    halves.sort(key=lambda half: rim[half, 1].mean())
+    for half, sign in zip(halves, (-1.0, 1.0), strict=True):
+        out[half] = sign * np.sin(np.pi * np.linspace(0, 1, len(half))) ** 0.6
+    return out
+
+
+def smooth_ring(values: np.ndarray) -> np.ndarray:
+    """Values (n, ...) along a closed ring, each averaged with its neighbours six times."""
+    for _ in range(6):
+        values = 0.25 * np.roll(values, 1, axis=0) + 0.5 * values + 0.25 * np.roll(values, -1, axis=0)
+    return values

@@ -91,6 +91,15 @@ def _mark_spans(axis, spans: Spans) -> None:
         )
 
 
+def _over_time(axis, times: np.ndarray, label: str, columns: int, spans: Spans) -> None:
+    """What curves over the whole take have in common: limits and labels, a legend of so many columns, marked spans."""
+    axis.set_xlim(times[0], times[-1] + 1e-6)
+    axis.set_ylabel(label)
+    axis.set_xlabel("time, s")
+    axis.legend(loc="upper left", ncols=columns)
+    _mark_spans(axis, spans)
+
+
 def _break_at_gaps(values: np.ndarray, tracked: np.ndarray) -> np.ndarray:
     return np.where(tracked, values, np.nan)
 
@@ -163,11 +172,7 @@ def adaptation(record, spans: Spans = ()) -> str:
         axis.plot(t, anchor, color=GREEN, label="to the anchor space (initial blendshapes)")
         axis.plot(t, adaptive, color=BLUE, label="to the adaptive space (with the learned correctives)")
         axis.set_ylim(0, _top(np.concatenate([anchor, adaptive])) * 1.2)
-        axis.set_xlim(t[0], t[-1] + 1e-6)
-        axis.set_ylabel("distance of v2, mm")
-        axis.set_xlabel("time, s")
-        axis.legend(loc="upper left", ncols=2)
-        _mark_spans(axis, spans)
+        _over_time(axis, t, "distance of v2, mm", 2, spans)
         return _svg(figure, "adaptation")
 
 
@@ -182,11 +187,7 @@ def held_out(record, spans: Spans = ()) -> str:
             axis.plot(t, errors, color=colours[number % len(colours)], linewidth=1, label=region)
         axis.axhline(BAD, color=GREY, linewidth=0.8, linestyle="--")
         axis.set_ylim(0, max(_top(record.held_out[seen]), BAD) * 1.35)
-        axis.set_xlim(t[0], t[-1] + 1e-6)
-        axis.set_ylabel("% of the eyes' distance")
-        axis.set_xlabel("time, s")
-        axis.legend(loc="upper left", ncols=5)
-        _mark_spans(axis, spans)
+        _over_time(axis, t, "% of the eyes' distance", 5, spans)
         return _svg(figure, "held_out")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -103,6 +104,15 @@ class HeldPose:
         equations.g[:6] -= weights * np.concatenate([turned, shifted])
 
 
+class Seen(NamedTuple):
+    """What one frame gives to the fit: its depth with the normals of ``depth_vertices``, its features, its camera."""
+
+    surface: DepthSurface | None
+    features: Features2D | None
+    camera: Camera
+    normals: np.ndarray | None
+
+
 class BlendshapeFit:
     """Equations (1) and (2): depth (point to plane) and 2D features, solved for bounded coefficients.
 
@@ -160,9 +170,9 @@ class BlendshapeFit:
         Without a surface (None, and no normals) the features alone decide, with the pose ``held`` near the last one.
         ``settle``: what becomes of the coefficients in the end (the Kalman filter); the pose is solved for those.
         """
-        previous = x
+        previous, seen = x, Seen(surface, features, camera, normals)
         for number in range(self.parameters.iterations, 0, -1):
-            equations, centre = self._assemble(surface, features, camera, pose, x, previous, normals)
+            equations, centre = self._assemble(seen, pose, x, previous)
             if held is not None:
                 held.add_to(equations, pose, self._middle)
             x, update_for = self.solve(equations, x)
@@ -173,22 +183,15 @@ class BlendshapeFit:
         return pose, x
 
     def _assemble(
-        self,
-        surface: DepthSurface | None,
-        features: Features2D | None,
-        camera: Camera,
-        pose: np.ndarray,
-        x: np.ndarray,
-        previous: np.ndarray,
-        normals: np.ndarray | None,
+        self, seen: Seen, pose: np.ndarray, x: np.ndarray, previous: np.ndarray
     ) -> tuple[NormalEquations, np.ndarray]:
         p, count = self.parameters, len(x)
         equations = NormalEquations(np.zeros((6 + count, 6 + count)), np.zeros(6 + count))
         current = np.concatenate([np.zeros(6), x])
         centre = transform_points(pose, self._middle)
-        if surface is not None and normals is not None:
-            self._add_depth(equations, surface, pose, x, normals, centre, current)
-        rows = feature_rows(features, camera, pose)
+        if seen.surface is not None and seen.normals is not None:
+            self._add_depth(equations, seen.surface, pose, x, seen.normals, centre, current)
+        rows = feature_rows(seen.features, seen.camera, pose)
         if len(rows.index):
             points = self._f0[rows.index] + self._f[rows.index] @ x
             residual = np.einsum("fij,fj->fi", rows.rows, points) + rows.offsets
@@ -197,7 +200,7 @@ class BlendshapeFit:
             turn = np.einsum("abc,fb,frc->fra", CROSS, lever, in_camera)
             jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
             self.add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
-        stiff = p.ridge * (1.0 if surface is None else p.profile_stiffness ** turned_away(pose, centre))
+        stiff = p.ridge * (1.0 if seen.surface is None else p.profile_stiffness ** turned_away(pose, centre))
         ridge = np.concatenate([np.full(6, 1e-6), np.full(count, stiff + p.temporal)])
         equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
         equations.g[6:] += p.temporal * previous
@@ -224,7 +227,7 @@ class BlendshapeFit:
             matches.points, matches.normals, matches.normals @ pose[:3, :3], matches.weights, self._b, centre
         )
         distances = matches.distances[matched]
-        # Each stands for ``every`` vertices, so that w keeps its meaning.
+        # Each stands for ``vertex_stride`` vertices, so that w keeps its meaning.
         weights = p.vertex_stride * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
         self.add_rows(equations, jacobian, distances, weights, current)
 

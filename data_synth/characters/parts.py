@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from face_model.makehuman import MakeHuman
 
-from adaptiveface.insides.parts import eyeball_mesh
+from adaptiveface.insides.parts import eyeball_mesh, rim_height, smooth_ring
 from adaptiveface.mesh import rotation_vector_matrix
 
 #: Degrees of an eyeball's turn at full activation.
@@ -43,7 +43,7 @@ def mouth_cavity(skin: Part, loop: np.ndarray, scale: float, colour) -> Part:
     It starts on the rim and moves with it, so that no light shines through between lips and cavity.
     """
     rim = skin.vertices[loop]
-    height = _opening(rim) * 13.0 * scale
+    height = rim_height(rim) * 13.0 * scale
     depths, spreads, follow = (0.0, 5.0, 16.0, 42.0), (0.0, 0.25, 0.75, 0.75), (1.0, 0.95, 0.85, 0.6)
     middle = rim.mean(axis=0)
     rings = []
@@ -66,29 +66,9 @@ def mouth_cavity(skin: Part, loop: np.ndarray, scale: float, colour) -> Part:
     for name, displacement in skin.expressions.items():
         at = displacement[loop]
         if np.abs(at).max() > 0.05:
-            inner = [f * ((1 - s) * at + s * _smooth(at)) for f, s in zip(follow, (0, 0.7, 1, 1), strict=True)]
+            inner = [f * ((1 - s) * at + s * smooth_ring(at)) for f, s in zip(follow, (0, 0.7, 1, 1), strict=True)]
             expressions[name] = np.concatenate([*inner, [inner[-1].mean(axis=0)]])
     return Part(vertices, np.array(triangles), colours, expressions)
-
-
-def _opening(rim: np.ndarray) -> np.ndarray:
-    """(n,) in [-1, 1]: positive on the upper half of the rim, 0 at the corners."""
-    left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
-    out = np.zeros(len(rim))
-    halves = [
-        np.arange(left, left + (right - left) % len(rim) + 1) % len(rim),
-        np.arange(right, right + (left - right) % len(rim) + 1) % len(rim),
-    ]
-    halves.sort(key=lambda half: rim[half, 1].mean())
-    for half, sign in zip(halves, (-1.0, 1.0), strict=True):
-        out[half] = sign * np.sin(np.pi * np.linspace(0, 1, len(half))) ** 0.6
-    return out
-
-
-def _smooth(values: np.ndarray) -> np.ndarray:
-    for _ in range(6):
-        values = 0.25 * np.roll(values, 1, axis=0) + 0.5 * values + 0.25 * np.roll(values, -1, axis=0)
-    return values
 
 
 def base_part(base: MakeHuman, quads: np.ndarray, head: np.ndarray, scale: float, colour) -> Part:
