@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import re
 from pathlib import Path
+
+import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 ASSETS, SOURCES = CHECKOUT / "adaptiveface" / "assets", CHECKOUT / "js"
@@ -27,3 +30,70 @@ def test_the_licence_of_what_is_bundled_is_there():
     text = (ASSETS / "LICENSE-three.txt").read_text(encoding="utf-8")
     assert "three.js authors" in text and "MIT" in text
     assert "adaptiveface/assets/LICENSE-three.txt" in (CHECKOUT / "pyproject.toml").read_text()
+
+
+PAGE = """<!doctype html><title>heads</title><div id="webgl"></div><div id="canvas"></div><script type="module">
+import heads from "./heads.js";
+const {states, buffers} = JSON.parse(document.querySelector("#sent").textContent);
+const data = (value) => Array.isArray(value) ? value.map(data) : value === null || typeof value !== "object" ? value
+  : "bytes" in value ? new DataView(Uint8Array.from(atob(buffers[value.bytes]), (letter) => letter.charCodeAt(0)).buffer)
+  : Object.fromEntries(Object.entries(value).map(([name, one]) => [name, data(one)]));
+const pictures = {};
+for (const renderer of ["webgl", "canvas"]) {
+  const values = {...data(states), renderer}, place = document.getElementById(renderer);
+  place.addEventListener("adaptiveface-picture", ({target: drawn}) => {
+    const copy = Object.assign(document.createElement("canvas"), {width: drawn.width / 5, height: drawn.height / 5});
+    const context = copy.getContext("2d");
+    context.imageSmoothingQuality = "high";
+    context.drawImage(drawn, 0, 0, copy.width, copy.height); // means of squares: only one of them has smooth edges
+    pictures[renderer] = context.getImageData(0, 0, copy.width, copy.height).data;
+    if (Object.keys(pictures).length < 2) return;
+    const [one, other] = [pictures.webgl, pictures.canvas], differences = [];
+    for (let k = 0; k < one.length; k += 4) {
+      if (!one[k + 3] && !other[k + 3]) continue;
+      differences.push(Math.max(...[0, 1, 2, 3].map((c) => Math.abs(one[k + c] - other[k + c]))));
+    }
+    const out = document.createElement("pre");
+    out.id = "out";
+    const size = [copy.width, copy.height];
+    out.textContent = JSON.stringify({size, drawn: differences.length, far: differences.filter((d) => d > 25).length});
+    document.body.append(out);
+  });
+  heads.render({el: place, model: {get: (name) => values[name], set() {}, on() {}, off() {}, save_changes() {}}});
+}</script><script id="sent" type="application/json">"""
+
+
+def test_without_webgl_the_same_picture_is_drawn(tmp_path):
+    """Skin with values, what is inside the head, and points; outlines may differ a little."""
+    pytest.importorskip("anywidget", reason="the extra 'notebooks' is not installed")
+    from web import ask
+
+    from adaptiveface.face_model import embedded_face_model
+    from adaptiveface.mesh import vertex_normals
+    from adaptiveface.views.face_view import FaceView
+
+    model = embedded_face_model()
+    wide = model.mean + model.expressions[model.expression_names.index("jawOpen")]
+    view = FaceView(model.mean, model.triangles, ["skin", "values", "points"], limits=(-80, 80), label="mm", pane=(150, 165))
+    view.show(1, wide, model.mean[:, 1])
+    view.show_points(2, model.mean, model.mean[:, 0], vertex_normals(model.mean, model.triangles), size=4)
+    view.hide_head(2)
+    view.look(35, 10)
+    view.refresh()
+    buffers: list[str] = []
+
+    def packed(value):
+        """Values for JSON; bytes by their number among ``buffers``."""
+        if isinstance(value, bytes):
+            buffers.append(base64.b64encode(value).decode())
+            return {"bytes": len(buffers) - 1}
+        if isinstance(value, dict):
+            return {name: packed(one) for name, one in value.items()}
+        return [packed(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+    sent = {name: packed(getattr(view._image, name)) for name in view._image.trait_names(sync=True) if name[0] != "_"}
+    sent = {name: value for name, value in sent.items() if name not in ("layout", "tabbable", "tooltip")}
+    text = json.dumps({"states": sent, "buffers": buffers})
+    seen = ask(tmp_path / "page", tmp_path, f"{PAGE}{text}</script>", {"heads.js": ASSETS / "heads.js"})
+    assert seen["size"] == [90, 33] and seen["drawn"] > 1200
+    assert seen["far"] < 0.02 * seen["drawn"], f"smooth edges alone differ less: {seen}"

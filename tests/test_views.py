@@ -6,6 +6,7 @@ import asyncio
 import base64
 import dataclasses
 import threading
+import time
 from contextlib import ExitStack
 
 import numpy as np
@@ -152,8 +153,7 @@ def test_the_browser_gets_what_is_shown(session):
     assert np.abs(positions - actor.neutral - [0, 0, 3]).max() < 0.01
     np.testing.assert_allclose(values, heat, atol=1e-4)
     assert not len(sent(view, 0)[1]) and view._image.frame[0] == before[0]
-    base = np.frombuffer(view._image.frame[1]["base"], "<i2").reshape(-1, 3) / 64
-    assert np.abs(base - actor.neutral).max() < 0.01 and view._image.frame[0]["base"] is None, "of the first head"
+    assert [pane["differs"] for pane in view._image.frame] == [False, True], "from the first head"
     triangles = np.frombuffer(view._image.geometry[1]["triangles"], np.uint32).reshape(-1, 3)
     assert np.array_equal(triangles, actor.triangles) and view._image.geometry[1]["count"] == len(actor.neutral)
     red, blue = np.frombuffer(view._image.palette, np.uint8).reshape(-1, 3)[[-1, 0]].astype(int)
@@ -466,6 +466,42 @@ def test_player_plays_loops_pauses_and_follows_the_hand():
             if not player.button.value:
                 break
         assert player.index == 9 and not player.button.value, "it stopped at the end"
+
+    asyncio.run(scenario())
+
+
+def test_the_slider_follows_a_playback_and_stands_right_when_it_ends():
+    async def scenario() -> None:
+        shown, told = [], []
+        player = views.Player(400, shown.append, fps=400.0)
+        player.slider.observe(lambda change: told.append(change["new"]), "value")
+        player.play()
+        while len(shown) < 30:
+            await asyncio.sleep(0.01)
+        assert len(told) < len(shown) / 2, "a step of the slider costs the page as much as half a head"
+        player.pause()
+        await asyncio.sleep(0.02)
+        assert player.slider.value == player.index == shown[-1]
+        player.slider.value = 0
+        assert player.index == 0 == shown[-1], "the hand counts at once"
+
+    asyncio.run(scenario())
+
+
+def test_a_slow_view_may_play_slower_instead_of_passing_over_frames():
+    async def scenario() -> None:
+        shown = []
+
+        def draw(index: int) -> None:
+            shown.append(index)
+            time.sleep(0.02)
+
+        player = views.Player(60, draw, fps=1000.0)
+        player.loop.value, player.longest_step = False, 2
+        player.play()
+        while player.button.value:
+            await asyncio.sleep(0.01)
+        assert shown[-1] == 59 and max(np.diff(shown)) <= 2
 
     asyncio.run(scenario())
 

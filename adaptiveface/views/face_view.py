@@ -137,10 +137,9 @@ class FaceView:
 
     def _frame(self) -> list[dict]:
         """What the browser shows, pane by pane."""
-        base = self._shown[0].vertices if self._compare else None
         out = []
         for k, shown in enumerate(self._shown):
-            one = heads.shape(shown.vertices, shown.heat, base if k else None, shown.visible)
+            one = heads.shape(shown.vertices, shown.heat, self._compare and k > 0, shown.visible)
             if shown.motion is not None:
                 one["inside"] = heads.inside(*shown.motion)
             out.append(one | ({"points": heads.points(*shown.cloud)} if shown.cloud else {}))

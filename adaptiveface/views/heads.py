@@ -26,7 +26,8 @@ class Heads(anywidget.AnyWidget):
     another person's head changes; ``frame``: what every pane shows, see :func:`shape`, :func:`inside` and :func:`points`.
     ``grid`` (columns, rows); ``pane`` (width, height) pixels; ``limits``, ``label``, ``palette`` (RGB bytes) of the heat map.
     ``camera`` (turn, tilt in degrees, zoom) is only ever sent to the browser. ``differs``: there is a difference that
-    ``exaggeration`` can enlarge. ``name`` becomes the canvas's CSS class, for tests.
+    ``exaggeration`` can enlarge. ``renderer``: "webgl", "canvas" (needs no WebGL) or "auto", which is the canvas where WebGL is
+    done by the processor. ``name`` becomes the canvas's CSS class, for tests.
     """
 
     _esm = Path(__file__).resolve().parents[1] / "assets" / "heads.js"
@@ -45,6 +46,7 @@ class Heads(anywidget.AnyWidget):
     bounds = traitlets.List([list(pair) for pair in BOUNDS]).tag(sync=True)
     differs = traitlets.Bool(False).tag(sync=True)
     exaggeration = traitlets.Float(1.0).tag(sync=True)
+    renderer = traitlets.Enum(["auto", "webgl", "canvas"], "auto").tag(sync=True)
     name = traitlets.Unicode("adaptiveface-face").tag(sync=True)
 
 
@@ -73,11 +75,13 @@ def inside(placements: np.ndarray, soft: np.ndarray) -> dict:
     return {"placements": np.asarray(placements, "<f4").tobytes(), "soft": _steps(soft)}
 
 
-def shape(vertices: np.ndarray, heat: np.ndarray | None, base: np.ndarray | None = None, visible: bool = True) -> dict:
-    """What a pane's head looks like: vertices (N, 3) mm, heat (N,) or None, and what it differs from, (N, 3) or None."""
+def shape(vertices: np.ndarray, heat: np.ndarray | None, differs: bool = False, visible: bool = True) -> dict:
+    """What a pane's head looks like: vertices (N, 3) mm, heat (N,) or None.
+
+    ``differs``: from the first pane's head, and the difference can be drawn larger than it is.
+    """
     values, span = _coded(heat)
-    sent = b"" if base is None else _steps(base)
-    return {"positions": _steps(vertices), "base": sent or None, "values": values, "range": span, "visible": visible}
+    return {"positions": _steps(vertices), "differs": differs, "values": values, "range": span, "visible": visible}
 
 
 def points(positions: np.ndarray, values: np.ndarray, normals: np.ndarray | None, size: float) -> dict:

@@ -6,7 +6,6 @@ import asyncio
 
 import ipywidgets as widgets
 import numpy as np
-from scipy.linalg import subspace_angles
 
 from ..mesh import vertex_normals
 from ..parameters import AdaptivePcaParameters
@@ -45,7 +44,7 @@ class CorrectiveView:
         self.widget = widgets.HBox([widgets.VBox([self.view.widget, self.amount]), self.values.widget], layout=row)
         self._last: np.ndarray | None = None
         self._wanted: tuple[Replay, int] | None = None
-        self._task = BackgroundTask()
+        self._task, self._rows = BackgroundTask(), SampleRows()
         self.amount.observe(on_main_thread(lambda _: self._wanted and self._draw(*self._wanted)), "value")
 
     def update(self, replay: Replay, index: int) -> None:
@@ -74,8 +73,7 @@ class CorrectiveView:
                 heat[frontal] = (shape * self._normals[frontal]).sum(axis=1)
             self.view.show(k, vertices, heat)
         self.view.refresh()
-        # The correctives are orthogonal to the anchors, so that the samples' part in the anchor space need not be taken away.
-        values = singular_values(model, learned_displacements(replay, index))[: self._most]
+        values = singular_values(model, self._rows(replay, index))[: self._most]
         self.values.update(np.pad(values, (0, self._most - len(values))))
 
     def close(self) -> None:
@@ -168,6 +166,29 @@ def learned_samples(replay: Replay, last: int) -> np.ndarray:
     return samples - (samples @ anchors) @ anchors.T
 
 
+class SampleRows:
+    """:func:`learned_samples` in single precision, where every frame's sample is computed once."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[TrackedFrame, np.ndarray, np.ndarray]] = {}
+
+    def __call__(self, replay: Replay, last: int) -> np.ndarray:
+        """(s, 3n) samples learned up to frame ``last``."""
+        anchors, frontal = replay.tracker.model.anchors, replay.actor.frontal
+        tracked = ((k, r) for k, r in enumerate(replay.results[: last + 1]) if r is not None)
+        learned = [(k, r) for k, r in tracked if r.sample_state == SampleState.LEARNED]
+        rows = [self._row(k, r, anchors, frontal) for k, r in learned[-replay.parameters.adaptive_pca.S :]]
+        return np.array(rows, np.float32).reshape(-1, len(anchors))
+
+    def _row(self, index: int, result: TrackedFrame, anchors: np.ndarray, frontal: np.ndarray) -> np.ndarray:
+        known = self._known.get(index)
+        if known is None or known[0] is not result or known[1] is not anchors:
+            moved = (result.v2 - result.v1)[frontal].ravel()
+            known = (result, anchors, (moved - anchors @ (anchors.T @ moved)).astype(np.float32))
+            self._known[index] = known
+        return known[2]
+
+
 def singular_values(model: AdaptiveModel, samples: np.ndarray) -> np.ndarray:
     """(k,) singular values of ``samples`` (s, 3n) within the k correctives, as the rms displacement of a vertex in mm."""
     if len(samples) == 0 or model.correctives.shape[1] == 0:
@@ -179,13 +200,19 @@ def singular_values(model: AdaptiveModel, samples: np.ndarray) -> np.ndarray:
 def angle_to_batch(model: AdaptiveModel, samples: np.ndarray) -> float:
     """Mean principal angle, degrees, between the k correctives and the k leading directions of a batch PCA.
 
-    Batch: a singular value decomposition of all ``samples`` (s, 3n) at once, through the origin as in section 5.
+    Batch: a singular value decomposition of all ``samples`` (s, 3n) at once, through the origin as in section 5. It is taken
+    from their products (s, s), and the cosines of the angles from products with the correctives: both are small matrices.
     """
     k = model.correctives.shape[1]
     if k == 0 or len(samples) <= k:
         return float("nan")
-    _, _, directions = np.linalg.svd(samples, full_matrices=False)
-    return float(np.degrees(subspace_angles(model.correctives, directions[:k].T).mean()))
+    variances, mixes = np.linalg.eigh((samples @ samples.T).astype(float))
+    variances, mixes = variances[-k:], mixes[:, -k:]
+    if variances[0] <= 1e-12 * variances[-1]:  # fewer directions than correctives
+        return float("nan")
+    products = (samples @ model.correctives.astype(samples.dtype)).astype(float)
+    cosines = np.linalg.svd(products.T @ (mixes / np.sqrt(variances)), compute_uv=False)
+    return float(np.degrees(np.arccos(np.clip(cosines, 0.0, 1.0)).mean()))
 
 
 def angle_chart(session: Session, every: int = 10):
@@ -199,6 +226,7 @@ def angle_chart(session: Session, every: int = 10):
         "mean angle to batch PCA",
     )
     known: dict[int, tuple[object, float]] = {}
+    rows = SampleRows()
 
     def source(replay: Replay):
         """The curve up to where the replay is."""
@@ -206,7 +234,7 @@ def angle_chart(session: Session, every: int = 10):
         for index in range(every - 1, replay.done, every):
             result = replay.results[index]
             if index not in known or known[index][0] is not result:
-                known[index] = (result, angle_to_batch(replay.model_after(index), learned_samples(replay, index)))
+                known[index] = (result, angle_to_batch(replay.model_after(index), rows(replay, index)))
             values[index] = known[index][1]
         seen = np.flatnonzero(np.isfinite(values))
         return {"angle": (seen, values[seen])}

@@ -10,14 +10,21 @@ import ipywidgets as widgets
 
 from .kernel import BackgroundTask, on_main_thread, shown_errors
 
+#: While it plays, the slider follows so many times a second: each of its steps costs the page as much as half a head.
+SLIDER_PER_SECOND = 6.0
+
 
 class Player:
-    """Steps through ``count`` frames; ``on_frame(index)`` draws one. ``widget`` is what to display."""
+    """Steps through ``count`` frames; ``on_frame(index)`` draws one. ``widget`` is what to display.
+
+    ``longest_step``: the most frames from one picture to the next; a slow view plays slower instead of skipping more.
+    """
 
     def __init__(self, count: int, on_frame: Callable[[int], None], fps: float = 30.0) -> None:
         self.on_frame, self.fps, self.drawn = on_frame, fps, 0
         self._task = BackgroundTask()
-        self._playing = False
+        self._index, self._slider_due = 0, 0.0
+        self.longest_step: int | None = None
         self.button = widgets.ToggleButton(False, description="play", icon="play", layout=widgets.Layout(width="90px"))
         self.button.add_class("adaptiveface-play")
         self.slider = widgets.IntSlider(
@@ -33,7 +40,7 @@ class Player:
         self.status = widgets.HTML()
         self.status.add_class("adaptiveface-status")
         self._draw_on_main = on_main_thread(self._draw)
-        self.slider.observe(lambda change: self._playing or self._draw_on_main(), "value")
+        self.slider.observe(lambda _: self._moved(), "value")
         toggle = on_main_thread(lambda: self.play() if self.button.value else self.pause())
         self.button.observe(lambda change: (self._label(), toggle()), "value")
         self.widget = widgets.HBox(
@@ -43,11 +50,18 @@ class Player:
     @property
     def index(self) -> int:
         """The frame that is shown."""
-        return self.slider.value
+        return self._index
 
     def go_to(self, index: int) -> None:
         """Show a frame."""
         self.slider.value = index
+        self._moved()  # where the slider stood there already, because it lags behind the playback
+
+    def _moved(self) -> None:
+        """The slider was moved, and not by the playback."""
+        if self.slider.value != self._index:
+            self._index = self.slider.value
+            self._draw_on_main()
 
     def play(self) -> None:
         """Start; needs a running event loop (a notebook)."""
@@ -68,20 +82,23 @@ class Player:
 
     def _draw(self) -> None:
         with shown_errors(lambda text: setattr(self.status, "value", text)):
-            self.on_frame(self.slider.value)
+            self.on_frame(self._index)
             self.drawn += 1
 
     async def _run(self) -> None:
         """Frames are skipped where drawing is slower than the performance at its speed."""
-        begin, first, drawn, position = time.perf_counter(), self.slider.value, self.drawn, self.slider.value
+        begin, first, drawn, position = time.perf_counter(), self._index, self.drawn, self._index
         if first >= self.slider.max:
             first = position = 0
         shown, speed = None, self.speed.value
         try:
             while True:
-                if speed != self.speed.value or (shown is not None and self.slider.value != shown):
-                    begin, first, speed = time.perf_counter(), self.slider.value, self.speed.value  # moved by hand
+                if speed != self.speed.value or (shown is not None and self._index != shown):
+                    begin, first, speed = time.perf_counter(), self._index, self.speed.value  # moved by hand
                 position = first + int((time.perf_counter() - begin) * self.fps * speed)
+                if shown is not None and self.longest_step is not None and position > shown + self.longest_step:
+                    begin, first = time.perf_counter(), shown + self.longest_step
+                    position = first
                 if position > self.slider.max:
                     if shown != self.slider.max:  # skipped by a slow view: the last frame is shown all the same
                         self._step_to(self.slider.max)
@@ -95,14 +112,14 @@ class Player:
                         self._report(begin, first, drawn)
                 await asyncio.sleep(0.004)  # lets sliders and other tasks in
         finally:
+            self.slider.value = self._index
             self.button.value = False
 
     def _step_to(self, position: int) -> None:
-        self._playing = True
-        try:
+        self._index, now = position, time.perf_counter()
+        if now >= self._slider_due:
             self.slider.value = position
-        finally:
-            self._playing = False
+            self._slider_due = now + 1 / SLIDER_PER_SECOND
         self._draw()
 
     def _report(self, begin: float, first: int, drawn: int) -> None:

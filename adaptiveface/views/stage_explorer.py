@@ -10,10 +10,12 @@ import ipywidgets as widgets
 import numpy as np
 
 from ..errors import ParameterError
+from ..frame import RgbdFrame
 from ..gaze import GazeEstimator
 from ..parameters import Parameters
 from ..polydata import correctives, surface
 from ..tracking.tracker import FaceTracker
+from ..tracking.types import TrackedFrame
 from ..tracking.verdict import verdict_of
 from .charts import LiveChart
 from .face_view import FaceView
@@ -26,8 +28,11 @@ from .player import Player
 from .replay import MakeTracker, Replay
 from .session import Session
 
-#: While a performance plays, the charts are redrawn at most so many times a second: the face comes first.
-CHARTS_PER_SECOND = 6.0
+#: While a performance plays, so many times a second one of the charts or the sensor's picture is redrawn, in turn: the face
+#: comes first.
+ASIDES_PER_SECOND = 12.0
+#: While it learns, so many frames at most from one picture to the next.
+LEARNING_STEP = 2
 
 #: A chart and the function that gives its lines: replay -> name -> values per frame.
 ChartSource = Callable[[Replay], dict[str, np.ndarray]]
@@ -70,7 +75,7 @@ class StageExplorer:
         self.camera = CameraView((190, 220)) if camera else None
         self.player = Player(len(session.frames), self.show)
         self.verdict = widgets.HTML()  #: what has to be said first
-        self.message, self._live, self._charts_due = widgets.HTML(), False, 0.0
+        self.message, self._live, self._aside, self._aside_due = widgets.HTML(), False, 0, 0.0
         self.player.button.observe(on_main_thread(lambda _: self._update_charts()), "value")
         restart = widgets.Button(
             description="learn live",
@@ -166,6 +171,8 @@ class StageExplorer:
         if self._live:
             self.replay.track_up_to(index)
             self._live = self.replay.done < len(self.session.frames)
+            # Every frame is tracked: passing over many would save little and hide how it learns.
+            self.player.longest_step = LEARNING_STEP if self._live else None
         result, frame = self.replay.current(index), self.session.frames[index]
         if result is None:
             return
@@ -176,15 +183,28 @@ class StageExplorer:
             extra = (self.replay.parameters,) if getattr(pane, "needs_parameters", False) else ()
             self.view.show(number, *pane(result, frame, *extra), gaze=gaze)
         self.view.refresh()
+        if self.extra is not None:
+            self.extra(self.replay, index)
+        if not self.player.button.value:
+            self._show_camera(result, frame)
+            self._update_charts()
+        elif time.perf_counter() >= self._aside_due:
+            self._show_aside(result, frame)
+            self._aside_due = time.perf_counter() + 1 / ASIDES_PER_SECOND
+
+    def _show_aside(self, result: TrackedFrame, frame: RgbdFrame) -> None:
+        """The next of the charts and the sensor's picture."""
+        self._aside = (self._aside + 1) % (len(self.charts) + 1)
+        if self._aside == len(self.charts):
+            self._show_camera(result, frame)
+        else:
+            self._update_charts(self.charts[self._aside : self._aside + 1])
+
+    def _show_camera(self, result: TrackedFrame, frame: RgbdFrame) -> None:
         if self.camera:
             points = result.vertices[self.session.actor.frontal][::6] if result.tracked else None
             features = model_features(self.session, result.v4, result.head_pose) if result.tracked else None
             self.camera.show(frame, points, features)
-        if self.extra is not None:
-            self.extra(self.replay, index)
-        if not self.player.button.value or time.perf_counter() >= self._charts_due:
-            self._update_charts()
-            self._charts_due = time.perf_counter() + 1 / CHARTS_PER_SECOND
 
     def close(self) -> None:
         """Stop playback and background work, free the renderer, take the widgets away."""
@@ -198,7 +218,7 @@ class StageExplorer:
         await self.replay.finished()
 
     def _change(self, parameters: Parameters) -> None:
-        self._live = False
+        self._live, self.player.longest_step = False, None
         self.replay.change(parameters, self.player.index)
         self.show(self.player.index)
 
@@ -212,11 +232,11 @@ class StageExplorer:
         if index == self.player.index or (last and self.player.index != index):
             self.show(self.player.index)
 
-    def _update_charts(self) -> None:
+    def _update_charts(self, charts: Sequence[tuple[LiveChart, ChartSource]] | None = None) -> None:
         if self.replay.done == len(self.session.frames):
             self.verdict.value = html.escape(verdict_of(self.replay.results))
             self.verdict.layout.display = None if self.verdict.value else "none"
-        for chart, source in self.charts:
+        for chart, source in self.charts if charts is None else charts:
             chart.update(self.player.index, **source(self.replay))
 
 

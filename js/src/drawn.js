@@ -1,6 +1,6 @@
 // What stands in a pane: a head with its values, what is inside it, or a cloud of points.
 
-import { BufferAttribute, BufferGeometry, DoubleSide, DynamicDrawUsage, Mesh, Points, ShaderMaterial, Vector3 } from "three";
+import { BufferAttribute, BufferGeometry, DoubleSide, Mesh, Points, ShaderMaterial, Vector3 } from "three";
 
 const STEP = 1 / 64; // mm: positions are whole numbers of it
 const UNKNOWN = 65535; // among values, which are otherwise 0 .. 65534 between the ends of their range
@@ -83,8 +83,7 @@ export class Head extends Drawn {
     this.own = colours ? new Uint8Array(bytes(colours)) : null;
     this.geometry = new BufferGeometry();
     this.triangles = new Uint32Array(bytes(triangles));
-    this.planes = new Float32Array((4 * this.triangles.length) / 3);
-    this.geometry.setIndex(new BufferAttribute(new Uint32Array(this.triangles), 1).setUsage(DynamicDrawUsage));
+    this.geometry.setIndex(new BufferAttribute(this.triangles, 1));
     for (const name of ["position", "normal"])
       this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(3 * count), 3));
     this.geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(3 * count), 3, true));
@@ -92,9 +91,9 @@ export class Head extends Drawn {
     this.object.frustumCulled = false;
   }
 
-  setShape({ positions, base, values, range }, bytes, factor) {
+  setShape({ positions, values, range }, base, bytes, factor) {
     const at = millimetres(positions, bytes);
-    this.place(at, base && factor !== 1 ? millimetres(base, bytes) : null, factor);
+    this.place(at, base && factor !== 1 ? millimetres(base.positions, bytes) : null, factor);
     this.values = decoded(values, range, bytes);
   }
 
@@ -103,49 +102,28 @@ export class Head extends Drawn {
     if (from?.length === at.length) for (let k = 0; k < at.length; k++) at[k] = from[k] + factor * (at[k] - from[k]);
     this.geometry.getAttribute("position").array.set(at);
     this.geometry.getAttribute("position").needsUpdate = true;
-    this.findPlanes(at);
+    this.findNormals(at);
   }
 
-  // Of every triangle its normal, as long as it is large, and the normal's product with a corner; of every vertex the sum of
-  // its triangles' normals.
-  findPlanes(at) {
-    const { triangles, planes } = this;
+  // Of every vertex the sum of its triangles' normals, each as long as its triangle is large.
+  findNormals(at) {
+    const { triangles } = this;
     const normal = this.geometry.getAttribute("normal");
     const sums = normal.array.fill(0);
-    for (let t = 0, p = 0; t < triangles.length; t += 3, p += 4) {
+    for (let t = 0; t < triangles.length; t += 3) {
       const a = 3 * triangles[t];
       const b = 3 * triangles[t + 1];
       const c = 3 * triangles[t + 2];
       const [ux, uy, uz] = [at[b] - at[a], at[b + 1] - at[a + 1], at[b + 2] - at[a + 2]];
       const [vx, vy, vz] = [at[c] - at[a], at[c + 1] - at[a + 1], at[c + 2] - at[a + 2]];
       const [x, y, z] = [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx];
-      planes[p] = x;
-      planes[p + 1] = y;
-      planes[p + 2] = z;
-      planes[p + 3] = x * at[a] + y * at[a + 1] + z * at[a + 2];
-      for (let corner = 0; corner < 3; corner++) {
-        const k = 3 * triangles[t + corner];
+      for (const k of [a, b, c]) {
         sums[k] += x;
         sums[k + 1] += y;
         sums[k + 2] += z;
       }
     }
     normal.needsUpdate = true;
-  }
-
-  // Only what faces the camera is drawn, where WebGL runs on the processor and the time goes into triangles.
-  face({ x, y, z }) {
-    const { triangles, planes } = this;
-    const index = this.geometry.index.array;
-    let count = 0;
-    for (let t = 0, p = 0; t < triangles.length; t += 3, p += 4) {
-      if (planes[p] * x + planes[p + 1] * y + planes[p + 2] * z <= planes[p + 3]) continue;
-      index[count++] = triangles[t];
-      index[count++] = triangles[t + 1];
-      index[count++] = triangles[t + 2];
-    }
-    this.geometry.index.needsUpdate = true;
-    this.geometry.setDrawRange(0, count);
   }
 }
 
@@ -202,7 +180,8 @@ export class Cloud extends Drawn {
     this.geometry.setAttribute("position", new BufferAttribute(at, 3));
     this.geometry.setAttribute("normal", new BufferAttribute(Float32Array.from(n.length ? n : at, (v) => v / 127), 3));
     this.geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(at.length), 3, true));
-    const shader = n.length ? VERTEX : FLAT;
+    this.unlit = !n.length;
+    const shader = this.unlit ? FLAT : VERTEX;
     if (this.object.material.vertexShader !== shader) {
       this.object.material.dispose();
       this.object.material = material(shader);

@@ -36,7 +36,7 @@ function render({ model, el }) {
     "background:var(--jp-layout-color2, Canvas);border:1px solid var(--jp-border-color1, GrayText);white-space:nowrap", frame);
   bubble.className = "adaptiveface-value";
 
-  const stage = new Stage(canvas, columns, rows, model.get("centre"), model.get("radius"));
+  const stage = new Stage(canvas, columns, rows, model.get("centre"), model.get("radius"), model.get("renderer"));
   const picker = new Picker(stage, bubble);
   let waiting = 0;
   let fresh = false;
