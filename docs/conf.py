@@ -25,7 +25,7 @@ quick = tags.has("quick")  # noqa: F821 - Sphinx puts it here
 extensions = ["myst_nb", "sphinx.ext.autodoc", "generated", "mathml"]
 if not quick:
     extensions.append("sphinx.ext.viewcode")
-exclude_patterns = ["_build", "_executed", "_ext", "measured.md", "measured_paper.md"]
+exclude_patterns = ["_build", "_executed", "_ext", "tables"]
 html_theme = "furo"
 html_title = "adaptiveface"
 html_static_path = ["_static", "../adaptiveface/assets/heads.js"]  # and what draws heads in notebooks

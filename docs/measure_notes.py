@@ -1,7 +1,7 @@
 """Measure the decisions of the paper notes on synthetic performers: one decision changed in each row.
 
-    python docs/measure_notes.py paper      # starts from Parameters.paper(), writes docs/measured_paper.md
-    python docs/measure_notes.py ours       # starts from our defaults, writes docs/measured.md
+    python docs/measure_notes.py paper      # starts from Parameters.paper(), writes docs/tables/from_paper.md
+    python docs/measure_notes.py ours       # starts from our defaults, writes docs/tables/from_defaults.md
 
 The performance is played twice with other noise and head motion; rows score the repeat against the ground truth. The notes
 include what is written. A performer takes a minute of one core for each table.
@@ -96,8 +96,8 @@ FROM_OURS = (
 
 #: What the first row is -> its parameters, the rows, and the file that the notes include.
 TABLES = {
-    "paper": (PAPER, FROM_PAPER, "measured_paper.md"),
-    "ours": (OURS, FROM_OURS, "measured.md"),
+    "paper": (PAPER, FROM_PAPER, "from_paper.md"),
+    "ours": (OURS, FROM_OURS, "from_defaults.md"),
 }
 
 
@@ -170,7 +170,7 @@ def main() -> None:
             args.json.write_text(json.dumps(results, indent=1))
     text = page(list(results.values()), args)
     print(text)
-    (Path(__file__).parent / name).write_text(text, encoding="utf-8")
+    (Path(__file__).parent / "tables" / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from adaptiveface.bench import peers, run, run_bench
+from adaptiveface.bench import growth, peers, run, run_bench
+from adaptiveface.bench.decimation import decimated
 from adaptiveface.bench.paper import PAPER_MS, PAPER_SUM_MS
 from adaptiveface.bench.peers import Comparison
 from adaptiveface.bench.scene import bench_scene
+from adaptiveface.bench.sizes import feature_points, model_of_size
+from adaptiveface.face_model import embedded_face_model
+from adaptiveface.mesh import boundary_loops, edges, surface_points, triangle_normals, vertex_normals
+from adaptiveface.synthetic.subdivision import loop_subdivision
 from adaptiveface.tracking.types import STAGE_NAMES
 
 
@@ -84,4 +89,48 @@ def test_bench_prints_every_stage_and_peer(capsys, monkeypatch):
     assert run_bench() == 0
     text = capsys.readouterr().out
     for name in (*STAGE_NAMES, "sum of stages", "bounded solve", "prefactored solve", "30 frames, learning on"):
+        assert name in text
+
+
+def test_a_decimated_mesh_is_the_same_surface_on_fewer_of_its_vertices():
+    model = embedded_face_model()
+    kept, triangles = decimated(model.mean, model.triangles, 3000)
+    assert len(kept) == 3000 == len(np.unique(triangles)) and (np.diff(kept) > 0).all()
+    loops = [len(boundary_loops(t, n)) for t, n in ((triangles, 3000), (model.triangles, len(model.mean)))]
+    euler = [n - len(edges(t)) + len(t) for t, n in ((triangles, 3000), (model.triangles, len(model.mean)))]
+    assert loops[0] == loops[1] and euler[0] == euler[1]
+    outside = vertex_normals(model.mean, model.triangles)[kept][triangles].sum(axis=1)
+    facing = (triangle_normals(model.mean[kept], triangles) * outside).sum(axis=1) > 0
+    assert facing.mean() > 0.99  # lips and lids are thin and bent
+
+
+def test_a_model_of_another_size_carries_its_tables_over():
+    model = embedded_face_model()
+    matrix, _ = loop_subdivision(model.triangles, len(model.mean))
+    other, kept = model_of_size(model, 9000)
+    np.testing.assert_allclose(other.mean, (matrix @ model.mean)[kept])
+    np.testing.assert_allclose(other.expressions[3], (matrix @ model.expressions[3])[kept])
+    old = kept < len(model.mean)
+    np.testing.assert_array_equal(other.frontal[old], model.frontal[kept[old]])
+    np.testing.assert_array_equal(other.depth_valid[old], model.depth_valid[kept[old]])
+    assert abs(other.frontal.mean() - model.frontal.mean()) < 0.05
+    placed = surface_points(other.mean, other.feature_triangles, other.feature_weights)
+    assert np.linalg.norm(placed - feature_points(model, matrix), axis=1).max() < 0.5
+    with pytest.raises(ValueError, match="27764"):
+        model_of_size(model, 30_000)
+
+
+def test_growth_is_judged_against_n_log_n():
+    n = np.array([1000.0, 2000.0, 4000.0])
+    linear, square = growth.Growth("a", n, n / 1000), growth.Growth("b", n, n**2)
+    assert linear.power == pytest.approx(1.0) and not linear.steep
+    assert square.power == pytest.approx(2.0) and square.steep
+    text = growth.growth_table("ms", [linear, square, growth.Growth("c", n, n * np.nan)])
+    assert [line.endswith("steeper") for line in text.splitlines()] == [False, False, True, False]
+
+
+@pytest.mark.slow
+def test_growth_shows_every_stage_and_its_peers():
+    text = growth.vertex_growth([1500, 3000], 20)
+    for name in (*STAGE_NAMES, "sum of stages", "scipy lsq_linear", "of 1500", "of 3000"):
         assert name in text

@@ -55,7 +55,7 @@ def test_a_hostile_input_is_refused_with_one_line_in_bounded_memory(name, folder
     found = fault_hostile.measure(name, folder)
     assert found.status == 2 and found.message.count("\n") == 1 and "Traceback" not in found.message
     assert found.mebibytes <= fault_hostile.MEBIBYTES
-    assert found.seconds <= 10  # 2 s on a machine with nothing else to do: the table in docs/measured.md
+    assert found.seconds <= 10  # 2 s on a machine with nothing else to do: the table in docs/files.md
     assert len(found.message.replace(str(folder), "")) < 240
 
 

@@ -12,6 +12,10 @@ def run_bench(args=None) -> int:
         from .live import run_live
 
         return run_live(args.seconds, as_json)
+    if getattr(args, "vertices", None):
+        from .growth import run_growth
+
+        return run_growth(args.vertices, args.frames)
     from .run import main
 
     return main(args)

@@ -104,7 +104,7 @@ def verdict(timings: Timings, comparisons: list[Comparison]) -> str:
     return "\n".join(lines)
 
 
-def _load() -> str:
+def machine_load() -> str:
     """How busy the machine is, in words; other programs' work shows in the figures."""
     busy, cores = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0, os.cpu_count() or 1
     return f"; load {busy:.1f} on {cores} cores" + (": BUSY, the figures are inflated" if busy > cores else "")
@@ -124,7 +124,7 @@ def main(args=None) -> int:
         comparisons = compare_all(record(actor, scene, min(RECORDED, frames // 2)))
     print(
         f"{timings.n_vertices} vertices, {timings.n_frontal} of them frontal; {len(timings.stage_ms)} frames, learning "
-        f"on ({timings.learned} of them learned); one BLAS thread{_load()}"
+        f"on ({timings.learned} of them learned); one BLAS thread{machine_load()}"
     )
     print(f"\n{stage_table(timings)}\n\n{peer_table(comparisons)}\n\n{verdict(timings, comparisons)}")
     return 0

@@ -94,3 +94,16 @@ def parameters(settings: list[str]):
             raise ParameterError(f"--set {setting}: stage.name=value is expected, e.g. laplacian.w1=0.2")
         values[name] = value
     return Parameters().set(**values)
+
+
+def several(low: int, high: int) -> Callable[[str], list[int]]:
+    """The argparse type of two or more ascending whole numbers between ``low`` and ``high``, with commas."""
+
+    def whole_numbers(text: str) -> list[int]:
+        """The numbers, or argparse's error."""
+        numbers = [whole(low, high)(part) for part in text.split(",")]
+        if len(numbers) < 2 or numbers != sorted(set(numbers)):
+            raise argparse.ArgumentTypeError(f"{text!r} is not two or more ascending numbers")
+        return numbers
+
+    return whole_numbers

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .arguments import whole
+from .arguments import several, whole
 
 
 def add_bench(commands) -> None:
     """``bench``."""
     bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
     bench.add_argument("--frames", type=whole(10, 10_000), metavar="N", help="synthetic frames to time")
+    sizes = {"type": several(500, 27_000), "metavar": "N,N,N"}
+    bench.add_argument("--vertices", **sizes, help="instead: growth of every stage with the mesh, K, S and A, and its peers'")
     bench.add_argument("--live", action="store_true", help="instead: latency and lost frames of the live chain")
     bench.add_argument("--seconds", type=whole(1, 86_400), default=60, metavar="N", help="of --live: %(default)s")
     bench.add_argument("--soak", type=whole(1, 10_000), metavar="MINUTES", help="instead: does the live chain grow?")
