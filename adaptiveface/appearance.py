@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from .errors import FileFormatError
-from .npz import Field
+from .files.records import array, record
 
 #: Gaussian blurs, px, from coarse to fine: the first reaches farther, the last is more exact.
 BLURS = (1.5, 0.0)
@@ -25,50 +25,26 @@ CHROMA = 300.0
 _DARK = 8.0
 
 
-#: What ``actor.npz`` holds of it.
-FIELDS = {
-    "appearance_triangles": Field(("Q", 3), "iu", optional=True),
-    "appearance_weights": Field(("Q", 3), optional=True),
-    "appearance_feature": Field(("Q",), "iu", optional=True),
-    "appearance_colours": Field((len(BLURS), "Q", 3), optional=True),
-}
-
-
+@record
 @dataclass(frozen=True)
 class Appearance:
-    """Samples on the surface around the features, sorted by feature.
+    """Q samples of the skin around the features, sorted by feature."""
 
-    triangles (Q, 3) vertex numbers and weights (Q, 3): where each sample sits; feature (Q,): the feature it belongs to;
-    colours (2, Q, 3): its :func:`channels` on the neutral, at each of ``BLURS``.
-    """
-
-    triangles: np.ndarray
-    weights: np.ndarray
-    feature: np.ndarray
-    colours: np.ndarray
+    triangles: np.ndarray = array("Q 3", "i4", "corners of the triangle that a sample of the skin sits on", below="N")
+    weights: np.ndarray = array("Q 3", doc="barycentric weights of its place there")
+    feature: np.ndarray = array("Q", "i4", "the feature that it belongs to, ascending")
+    colours: np.ndarray = array(f"{len(BLURS)} Q 3", doc="how it looks on the neutral, coarse and fine (`channels`)")
 
     def __len__(self) -> int:
         return len(self.feature)
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """What is saved, by the names in ``FIELDS``."""
-        return {name: getattr(self, name.removeprefix("appearance_")) for name in FIELDS}
-
     @classmethod
-    def take(cls, path: str | os.PathLike, data: dict[str, np.ndarray]) -> Appearance | None:
-        """Take :meth:`arrays` out of what was read from ``path``; None where they are missing.
-
-        Raises :class:`FileFormatError` when some are missing or describe no samples of 40 features.
-        """
-        arrays = {name.removeprefix("appearance_"): data.pop(name) for name in FIELDS if name in data}
-        if not arrays:
-            return None
-        if len(arrays) < len(FIELDS):
-            raise FileFormatError(f"{path}: of {', '.join(FIELDS)} some are missing; all or none are expected")
-        feature = arrays["feature"]
+    def checked(cls, path: str | os.PathLike, data: dict[str, np.ndarray]) -> Appearance:
+        """Of the arrays in a file; raises :class:`FileFormatError` where they describe no samples of 40 features."""
+        feature = data["feature"]
         if len(feature) == 0 or (np.diff(feature.astype(int)) < 0).any() or feature[0] < 0 or feature[-1] >= 40:
             raise FileFormatError(f"{path}: 'appearance_feature' must hold numbers from 0 to 39 in ascending order")
-        return cls(**arrays)
+        return cls(**data)
 
 
 def channels(picture: np.ndarray, blur: float) -> np.ndarray:

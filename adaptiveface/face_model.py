@@ -14,58 +14,37 @@ from importlib.resources import files
 import numpy as np
 
 from .feature_set import FeatureSet, landmark_set
-from .files import replacing
+from .files.records import array, arrays, read, record
 from .frame import FEATURE_IDS
-from .npz import Field, check_indices, load_checked
-
-_FIELDS = {
-    "mean": Field(("V", 3)),
-    "triangles": Field(("T", 3), "iu"),
-    "identity_modes": Field(("M", "V", 3)),
-    "expressions": Field(("E", "V", 3)),
-    "expression_names": Field(("E",), "U"),
-    "generic_weights": Field(("A", "E")),
-    "generic_names": Field(("A",), "U"),
-    "frontal": Field(("V",), "b"),
-    "depth_valid": Field(("V",), "b"),
-    "feature_triangles": Field((40, 3), "iu"),
-    "feature_weights": Field((40, 3)),
-    "mirror": Field(("V",), "iu", optional=True),
-    "eye_mean": Field(("Q", 3), optional=True),
-    "eye_modes": Field(("M", "Q", 3), optional=True),
-    "eye_triangles": Field(("U", 3), "iu", optional=True),
-}
+from .npz import write_npz
 
 
+@record
 @dataclass(frozen=True)
 class FaceModel:
     """A linear face model on one tracking mesh; the interface that the importers of other models share.
 
-    mean (V, 3) mm; triangles (T, 3) int32; identity_modes (M, V, 3) mm per standard deviation; expressions (E, V, 3)
-    displacements mm at full activation; generic_weights (A, E): the generic expressions of section 3 as mixtures of the
-    units; frontal (V,) bool: the region that deforms; depth_valid (V,) bool: vertices that may take a depth
-    correspondence (not inner lips, lid rims, hidden skin); feature_triangles (40, 3), feature_weights (40, 3): where
-    the 2D features of ``frame.FEATURE_IDS`` sit on the surface. Optional: mirror (V,) the vertex on the other side;
-    eye_mean (Q, 3), eye_modes (M, Q, 3), eye_triangles (U, 3): eyeballs, for pictures only; landmarks: the detector's
-    other landmarks on this mesh.
+    ``landmarks`` are the detector's other landmarks on this mesh, or None.
     """
 
     name: str
-    mean: np.ndarray
-    triangles: np.ndarray
-    identity_modes: np.ndarray
-    expressions: np.ndarray
-    expression_names: tuple[str, ...]
-    generic_weights: np.ndarray
-    generic_names: tuple[str, ...]
-    frontal: np.ndarray
-    depth_valid: np.ndarray
-    feature_triangles: np.ndarray
-    feature_weights: np.ndarray
-    mirror: np.ndarray | None = None
-    eye_mean: np.ndarray | None = None
-    eye_modes: np.ndarray | None = None
-    eye_triangles: np.ndarray | None = None
+    mean: np.ndarray = array("V 3", doc="average head", unit="mm")
+    triangles: np.ndarray = array("T 3", "i4", "vertex numbers", below="V")
+    identity_modes: np.ndarray = array("M V 3", doc="displacements per standard deviation", unit="mm")
+    expressions: np.ndarray = array("E V 3", doc="displacements at full activation", unit="mm")
+    expression_names: tuple[str, ...] = array("E", "U", "names of the expression units")
+    generic_weights: np.ndarray = array("A E", doc="generic expressions of section 3 as mixtures of the units")
+    generic_names: tuple[str, ...] = array("A", "U", "names of the generic expressions")
+    frontal: np.ndarray = array("V", "b", "the region that deforms")
+    depth_valid: np.ndarray = array("V", "b", "vertices that may take a depth match: no inner lips, lid rims, hidden skin")
+    feature_triangles: np.ndarray = array("40 3", "i4", "corners of the triangle that each 2D feature sits on", below="V")
+    feature_weights: np.ndarray = array("40 3", doc="barycentric weights of its place there")
+    mirror: np.ndarray | None = array("V", "i4", "vertex on the other side", below="V", optional=True, default=None)
+    eye_mean: np.ndarray | None = array("Q 3", doc="eyeballs, for pictures only", unit="mm", optional=True, default=None)
+    eye_modes: np.ndarray | None = array(
+        "M Q 3", doc="their displacements per standard deviation", unit="mm", optional=True, default=None
+    )
+    eye_triangles: np.ndarray | None = array("U 3", "i4", "their vertex numbers", below="Q", optional=True, default=None)
     landmarks: FeatureSet | None = None
 
     @property
@@ -91,30 +70,15 @@ class FaceModel:
 
 def load_face_model(path: str | os.PathLike) -> FaceModel:
     """Read a model in this package's npz layout; raises :class:`FileFormatError` naming what is wrong."""
-    data = load_checked(path, _FIELDS, max_bytes=1 << 30)
-    n = len(data["mean"])
-    for name in ("triangles", "feature_triangles", "mirror"):
-        if name in data:
-            check_indices(path, name, data[name], n)
-            data[name] = data[name].astype(np.int32)
-    if "eye_triangles" in data:
-        check_indices(path, "eye_triangles", data["eye_triangles"], len(data["eye_mean"]))
-        data["eye_triangles"] = data["eye_triangles"].astype(np.int32)
-    for name, array in data.items():
-        if array.dtype.kind == "f":
-            data[name] = array.astype(float)
+    data = read(FaceModel, path, max_bytes=1 << 30, double=True)
     # Stored in float32: make the barycentric weights sum to one again.
     data["feature_weights"] /= data["feature_weights"].sum(axis=1, keepdims=True)
-    for name in ("expression_names", "generic_names"):
-        data[name] = tuple(str(s) for s in data[name])
     return FaceModel(name=os.path.basename(path), **data)
 
 
 def save_face_model(path: str | os.PathLike, model: FaceModel) -> None:
     """Write a model, an imported one say, in this package's npz layout (float32; read by :func:`load_face_model`)."""
-    arrays = {name: np.asarray(getattr(model, name)) for name in _FIELDS if getattr(model, name) is not None}
-    with replacing(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **{k: a.astype(np.float32) if a.dtype.kind == "f" else a for k, a in arrays.items()})
+    write_npz(path, arrays(model), compressed=True)
 
 
 @lru_cache(maxsize=1)

@@ -7,6 +7,7 @@ performers by ``data_synth/place_landmarks.py``. A set is data: its size appears
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import as_file, files
@@ -14,45 +15,33 @@ from importlib.resources import as_file, files
 import numpy as np
 
 from .camera import Camera
-from .frame import FEATURE_IDS, FEATURE_REGIONS, MEDIAPIPE_INDICES, Features2D
+from .errors import FileFormatError
+from .files.records import array, read, record
+from .frame import FEATURE_IDS, FEATURE_REGIONS, LANDMARKS, MEDIAPIPE_INDICES, Features2D
 from .mesh import surface_points
-from .npz import Field, load_checked
 
-#: Arrays of a set, as they are stored.
-FIELDS = {
-    "ids": Field(("L",), "iu"),
-    "regions": Field(("L",), "U"),
-    "triangles": Field(("L", 3), "iu"),
-    "weights": Field(("L", 3)),
-    "offset": Field(("L", 3)),
-    "held_out": Field(("L",), "b"),
-    "personal": Field(("L",)),
-    "yaw": Field(("Y",)),
-    "deviation": Field(("L", "Y")),
-}
 #: Deviation of the 40 features where nothing else is known, mm: between persons and from frame to frame.
 PAPER_PERSONAL, PAPER_DEVIATION = 0.7, 1.0
 
 
+@record
 @dataclass(frozen=True)
 class FeatureSet:
-    """L features: ids (L,) numbers of MediaPipe's landmarks; regions (L,) names; the rest in millimetres.
+    """L features on a mesh, with how far each can be trusted at Y yaws of the head."""
 
-    triangles (L, 3) vertex numbers and weights (L, 3) barycentric: where they sit on the surface. offset (L, 3), head frame:
-    where the detector seems to see them from there when the head turns (:meth:`slides`). held_out (L,) bool: left out of
-    every fit, to measure it by. personal (L,): standard deviation of each feature's place between persons;
-    deviation (L, Y): of a person's frames, per coordinate across the view, at the head's ``yaw`` (Y,) degrees, ascending.
-    """
-
-    ids: np.ndarray
-    regions: np.ndarray
-    triangles: np.ndarray
-    weights: np.ndarray
-    offset: np.ndarray
-    held_out: np.ndarray
-    personal: np.ndarray
-    yaw: np.ndarray
-    deviation: np.ndarray
+    ids: np.ndarray = array("L", "i4", "MediaPipe's numbers of the landmarks")
+    regions: np.ndarray = array("L", "U", "name of the region of each")
+    triangles: np.ndarray = array("L 3", "i4", "corners of the triangle that it sits on", below="N")
+    weights: np.ndarray = array("L 3", doc="barycentric weights of its place there")
+    offset: np.ndarray = array(
+        "L 3", doc="where the detector sees it from there when the head turns (`slides`), head frame", unit="mm"
+    )
+    held_out: np.ndarray = array("L", "b", "left out of every fit, to measure the fit by")
+    personal: np.ndarray = array("L", doc="standard deviation of its place between persons", unit="mm")
+    yaw: np.ndarray = array("Y", doc="angles of the head for `deviation`, ascending", unit="degrees")
+    deviation: np.ndarray = array(
+        "L Y", doc="standard deviation from frame to frame, per coordinate across the view", unit="mm"
+    )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -122,11 +111,24 @@ def paper_features(rig) -> FeatureSet:
 def landmark_set() -> FeatureSet:
     """MediaPipe's landmarks on the embedded face model."""
     with as_file(files("adaptiveface") / "assets" / "landmarks.npz") as path:
-        return from_arrays(load_checked(path, FIELDS))
+        return FeatureSet(**_normalised(read(FeatureSet, path, double=True)))
 
 
-def from_arrays(arrays: dict[str, np.ndarray]) -> FeatureSet:
-    """A set of checked arrays by the names of :data:`FIELDS`; weights stored in float32 sum to one again."""
-    data = {name: array.astype(float) if array.dtype.kind == "f" else array for name, array in arrays.items()}
-    data["weights"] = data["weights"] / data["weights"].sum(axis=1, keepdims=True)
-    return FeatureSet(**data | {"ids": data["ids"].astype(np.int32), "triangles": data["triangles"].astype(np.int32)})
+def _normalised(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Barycentric weights that were stored in float32 sum to one again; numbers are int32."""
+    weights = data["weights"] / data["weights"].sum(axis=1, keepdims=True)
+    return data | {"weights": weights, "ids": data["ids"].astype(np.int32)}
+
+
+def checked_set(path: str | os.PathLike, data: dict[str, np.ndarray], prefix: str) -> FeatureSet:
+    """A set of the arrays that a file holds under ``prefix``; raises :class:`FileFormatError` where they are none."""
+    weights, deviation, yaw, ids = data["weights"], data["deviation"], data["yaw"], data["ids"]
+    if len(weights) and (weights.min() < -0.01 or np.abs(weights.sum(axis=1) - 1).max() > 0.01):
+        raise FileFormatError(f"{path}: rows of '{prefix}weights' are not barycentric (0 to 1, sum 1)")
+    if min(deviation.min(initial=1.0), data["personal"].min(initial=1.0)) <= 0:
+        raise FileFormatError(f"{path}: '{prefix}deviation' or '{prefix}personal' holds a value that is not positive")
+    if not yaw.size or (np.diff(yaw) <= 0).any() or np.abs(yaw).max() > 180:
+        raise FileFormatError(f"{path}: '{prefix}yaw' does not rise from -180 to 180 degrees")
+    if len(ids) and not 0 <= ids.min() <= ids.max() < LANDMARKS:
+        raise FileFormatError(f"{path}: '{prefix}ids' are not numbers of landmarks, 0 to {LANDMARKS - 1}")
+    return FeatureSet(**_normalised(data))

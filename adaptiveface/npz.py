@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -124,9 +125,17 @@ def check_indices(path: str | os.PathLike, name: str, array: np.ndarray, upper: 
         raise FileFormatError(f"{path}: array '{name}' points outside 0..{upper - 1}")
 
 
-def write_npz(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write an uncompressed npz whole or not at all, as :func:`numpy.savez` does, and mapped arrays block by block."""
-    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bool = False, shared: bool = False) -> None:
+    """Write an npz whole or not at all, as :func:`numpy.savez` and :func:`numpy.savez_compressed` do.
+
+    ``shared``: several processes may write this file at the same time (:func:`adaptiveface.files.replacing`). Mapped arrays
+    are written block by block where the file is not compressed.
+    """
+    if compressed:
+        with replacing(path, shared) as temporary, open(temporary, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+        return
+    with replacing(path, shared) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, value in arrays.items():
             array = np.asanyarray(value)
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

@@ -3,139 +3,108 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .actor import Actor
 from .errors import FileFormatError
 from .files import blocks
+from .files.records import array, arrays, by_attribute, checks, read, record, row_dtype
 from .npz import Field, check_indices, load_checked, write_npz
 from .parameters import Parameters
 from .renamed import renamed
 from .result_access import ResultAccess
-from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows, row_type
+from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows
 from .tracking.held_out import HeldOut, describe, warn
 from .tracking.types import STAGE_NAMES, SampleState, TrackedFrame
 from .tracking.verdict import face_seen, verdict
-
-_FIELDS = {
-    "vertices": Field(("F", "N", 3)),
-    "triangles": Field(("T", 3), "iu"),
-    "v1": Field(("F", "N", 3), optional=True),
-    "v2": Field(("F", "N", 3), optional=True),
-    "v3": Field(("F", "N", 3), optional=True),
-    "frontal": Field(("N",), "b"),
-    "tracked": Field(("F",), "b"),
-    "skipped": Field(("F",), "b", optional=True),
-    "timestamps": Field(("F",)),
-    "rigid": Field(("F", 4, 4)),
-    "coefficients": Field(("F", "A")),
-    "coefficients_initial": Field(("F", "A")),
-    "expression_names": Field(("A",), "U"),
-    "feature_vertices": Field((40,), "iu"),
-    "feature_ids": Field((40,), "iu"),
-    "corrective_updates": Field(("F",), "iu"),
-    "sample_state": Field(("F",), "iu"),
-    "residual": Field(("F",), optional=True),
-    "anchor_distance": Field(("F",), optional=True),
-    "adaptive_distance": Field(("F",), optional=True),
-    "reasons": Field(("F",), "U", optional=True),
-    "stage_ms": Field(("F", "S")),
-    "stage_names": Field(("S",), "U"),
-    "parameters": Field((), "U"),
-    "correctives": Field(("K", "N", 3), optional=True),
-    "colour_only": Field((), "b", optional=True),
-    "mirrored": Field((), "b", optional=True),
-    "turned": Field((), "iu", optional=True),
-    "gaze": Field(("F", 2, 2), optional=True),
-    "gaze_known": Field(("F", 2), "b", optional=True),
-    "held_out": Field(("F", "R"), optional=True),
-    "held_out_regions": Field(("R",), "U", optional=True),
-}
-
-#: Meshes of every frame, which stay on the disk in long takes.
-MESHES = ("vertices", "v1", "v2", "v3")
-_HEAD_FIELDS = {
-    name: _FIELDS[name]
-    for name in (
-        "triangles",
-        "frontal",
-        "expression_names",
-        "feature_vertices",
-        "feature_ids",
-        "stage_names",
-        "parameters",
-        "colour_only",
-        "held_out_regions",
-    )
-}
-_HEAD_FIELDS |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
-
-#: What the file calls ``head_pose``.
-POSE = "rigid"
 
 #: How everything that people read calls a result that was tracked without depth.
 COLOUR_ONLY = "colour only: no depth, degraded"
 
 
+#: Meshes of every frame, which stay on the disk in long takes.
+MESHES = ("vertices", "v1", "v2", "v3")
+_KEPT = "camera frame, with `--keep-stages`"
+
+
 @renamed
+@record
 @dataclass(frozen=True, repr=False)
 class Result(ResultAccess):
-    """A tracked performance of F frames, N vertices, A expressions, S stages; one entry per frame of the source.
+    """A tracked performance; one entry per frame of the source.
 
-    vertices (F, N, 3) float32: final mesh v4 in the camera frame, mm; v1, v2, v3 likewise, or None; triangles (T, 3)
-    int32; frontal (N,) bool; timestamps (F,) s; head_pose (F, 4, 4) head to camera; coefficients (F, A) re-solved and
-    coefficients_initial (F, A); expression_names (A,); feature_vertices, feature_ids (40,); corrective_updates (F,) PCA
-    updates so far; sample_state (F,) of :class:`SampleState`; residual, anchor_distance, adaptive_distance (F,) mm;
-    stage_ms (F, S), stage_names (S,); parameters: JSON of every parameter.
+    F frames, N vertices, T triangles, A expressions, S stages, K correctives, R regions of held-out landmarks.
 
-    tracked (F,) bool: the face was tracked; skipped (F,) bool: the frame was broken and never reached the tracker;
-    reasons (F,): why a frame is not tracked, "" where it is. A frame that is not tracked repeats mesh, pose and
-    coefficients of the last tracked one (before the first one: of the first one; without any: the neutral, unmoved),
-    has sample state UNTRACKED, and 0 for its distances. correctives (K, N, 3) or None: the corrective shapes as learned
-    at the end, orthonormal, zero outside the frontal region. colour_only: tracked without depth, a degraded mode.
-    held_out (F, R) or None: error of the landmarks that no fit used, by region of held_out_regions (R,), % of the eyes'
-    distance, 0 where nothing was detected (:mod:`~adaptiveface.tracking.held_out`).
-    gaze (F, 2, 2) or None: yaw to the subject's left and pitch upwards, rad, of the left and of the right eye, and
-    gaze_known (F, 2): measured in this frame, else held (:mod:`adaptiveface.gaze`).
-    mirrored, turned: the source's frames were flipped, and then turned by so many quarters anticlockwise, before they were
-    tracked; :func:`~adaptiveface.sensors.orientation.as_tracked` does the same with a source.
+    A frame that is not tracked repeats mesh, pose and coefficients of the last tracked one (before the first one: of the
+    first one; without any: the neutral, unmoved). It has sample state UNTRACKED and 0 for its distances.
+    :func:`~adaptiveface.sensors.orientation.as_tracked` does with a source what ``mirrored`` and ``turned`` say.
     """
 
-    vertices: np.ndarray
-    triangles: np.ndarray
-    frontal: np.ndarray
-    tracked: np.ndarray
-    skipped: np.ndarray
-    timestamps: np.ndarray
-    head_pose: np.ndarray
-    coefficients: np.ndarray
-    coefficients_initial: np.ndarray
-    expression_names: tuple[str, ...]
-    feature_vertices: np.ndarray
-    feature_ids: np.ndarray
-    corrective_updates: np.ndarray
-    sample_state: np.ndarray
-    residual: np.ndarray
-    anchor_distance: np.ndarray
-    adaptive_distance: np.ndarray
-    reasons: tuple[str, ...]
-    stage_ms: np.ndarray
-    stage_names: tuple[str, ...]
-    parameters: str
-    v1: np.ndarray | None = None
-    v2: np.ndarray | None = None
-    v3: np.ndarray | None = None
-    correctives: np.ndarray | None = None
-    colour_only: bool = False
-    mirrored: bool = False
-    turned: int = 0
-    held_out: np.ndarray | None = None
-    held_out_regions: tuple[str, ...] = ()
-    gaze: np.ndarray | None = None
-    gaze_known: np.ndarray | None = None
+    vertices: np.ndarray = array("F N 3", doc="final mesh v4, camera frame", unit="mm")
+    triangles: np.ndarray = array("T 3", "i4", "vertex numbers", below="N")
+    frontal: np.ndarray = array("N", "b", "the deformed region")
+    tracked: np.ndarray = array("F", "b", "the face was tracked")
+    skipped: np.ndarray = array("F", "b", "the frame was broken and never reached the tracker", optional=True)
+    timestamps: np.ndarray = array("F", "f8", "times of the frames", unit="s")
+    head_pose: np.ndarray = array("F 4 4", doc="head to camera", unit="mm", name="rigid")
+    coefficients: np.ndarray = array("F A", doc="re-solved from the final mesh (section 6)")
+    coefficients_initial: np.ndarray = array("F A", doc="of the first fit (section 4.2)")
+    expression_names: tuple[str, ...] = array("A", "U", "names of the expressions")
+    feature_vertices: np.ndarray = array("40", "i4", "the vertex nearest to each feature", below="N")
+    feature_ids: np.ndarray = array("40", "i4", "iBUG-68 numbers of the features")
+    corrective_updates: np.ndarray = array("F", "i4", "PCA updates so far")
+    sample_state: np.ndarray = array(
+        "F",
+        "i1",
+        "0 untracked, 1 in the anchor space, 2 learned, 3 outlier, 4 not learned: too much of the face hidden or without depth",
+    )
+    residual: np.ndarray = array("F", doc="mean point-to-plane distance of the rigid fit", unit="mm", optional=True)
+    anchor_distance: np.ndarray = array(
+        "F",
+        doc="mean distance of v2 from the anchor space, before the frame is learned from (figure 11)",
+        unit="mm",
+        optional=True,
+    )
+    adaptive_distance: np.ndarray = array("F", doc="the same from the adaptive space", unit="mm", optional=True)
+    reasons: tuple[str, ...] = array("F", "U", "why a frame is not tracked, or empty", optional=True)
+    stage_ms: np.ndarray = array("F S", doc="time per stage", unit="ms")
+    stage_names: tuple[str, ...] = array("S", "U", "names of the stages")
+    parameters: str = array("", "U", "JSON of every parameter")
+    v1: np.ndarray | None = array("F N 3", doc=f"initial blendshapes, {_KEPT}", unit="mm", optional=True, default=None)
+    v2: np.ndarray | None = array("F N 3", doc=f"Laplacian-deformed, {_KEPT}", unit="mm", optional=True, default=None)
+    v3: np.ndarray | None = array(
+        "F N 3", doc=f"projected on the adaptive space, {_KEPT}", unit="mm", optional=True, default=None
+    )
+    correctives: np.ndarray | None = array(
+        "K N 3",
+        doc="corrective shapes as learned at the end, orthonormal, zero outside the frontal region",
+        optional=True,
+        default=None,
+    )
+    colour_only: bool = array("", "b", "tracked without depth, a degraded mode", optional=True, default=False)
+    mirrored: bool = array("", "b", "frames were flipped (`--mirrored`) before they were tracked", optional=True, default=False)
+    turned: int = array("", "i4", "then they were turned by so many quarters anticlockwise", optional=True, default=0)
+    held_out: np.ndarray | None = array(
+        "F R",
+        doc="error of the landmarks that no fit used, % of the eyes' distance, 0 where nothing was detected",
+        optional=True,
+        default=None,
+    )
+    held_out_regions: tuple[str, ...] = array("R", "U", "their regions", optional=True, default=())
+    gaze: np.ndarray | None = array(
+        "F 2 2",
+        doc="yaw to the subject's left and pitch upwards of the left and of the right eye, where the detector saw irises",
+        unit="rad",
+        optional=True,
+        default=None,
+    )
+    gaze_known: np.ndarray | None = array(
+        "F 2", "b", "the gaze was measured in this frame, else it is held", optional=True, default=None
+    )
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -170,11 +139,10 @@ class Result(ResultAccess):
 
     def save(self, path: str | os.PathLike) -> None:
         """Write ``result.npz`` (uncompressed: coordinates hardly shrink), whole or not at all."""
-        arrays = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        arrays[POSE] = arrays.pop("head_pose")
+        known = arrays(self)
         if self.held_out is None:
-            del arrays["held_out_regions"]
-        write_npz(path, {name: value for name, value in arrays.items() if value is not None})
+            del known["held_out_regions"]
+        write_npz(path, known)
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Result:
@@ -186,23 +154,27 @@ class Result(ResultAccess):
         path = Path(path)
         if path.is_dir():
             return _of_unfinished(path)
-        data = load_checked(path, _FIELDS, mapped=MESHES)
-        n_frames, n_vertices = data["vertices"].shape[:2]
-        for name in ("triangles", "feature_vertices"):
-            check_indices(path, name, data[name], n_vertices)
-            data[name] = data[name].astype(np.int32)
-        states = [int(state) for state in SampleState]
+        data = read(cls, path, mapped=MESHES)
+        count, states = len(data["vertices"]), [int(state) for state in SampleState]
         if not np.isin(data["sample_state"], states).all():
             raise FileFormatError(f"{path}: array 'sample_state' holds values other than {states}")
-        data.setdefault("reasons", np.full(n_frames, ""))
-        data.setdefault("skipped", np.zeros(n_frames, bool))
+        data.setdefault("reasons", ("",) * count)
+        data.setdefault("skipped", np.zeros(count, bool))
         for name in ("residual", "anchor_distance", "adaptive_distance"):
-            data.setdefault(name, np.zeros(n_frames, np.float32))
-        return cls(**_as_attributes(data))
+            data.setdefault(name, np.zeros(count, np.float32))
+        return cls(**_consistent(data))
+
+
+#: A row's arrays, as they follow each other in ``rows.bin``: by their size, as processors like it.
+_ROW = ("timestamps", *MESHES, "rigid", "coefficients", "coefficients_initial", "stage_ms", "residual", "anchor_distance")
+_ROW += ("adaptive_distance", "held_out", "corrective_updates", "reasons", "sample_state", "tracked", "skipped")
+#: What a run that did not end has written beside its rows; the neutral is for frames without a face.
+_HEAD = {name: entry for name, entry in checks(Result).items() if "F" not in entry.shape and name != "correctives"}
+_HEAD |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 
 
 def _of_unfinished(folder: Path) -> Result:
-    head = load_checked(folder / HEAD, _HEAD_FIELDS, max_bytes=1 << 30)
+    head = load_checked(folder / HEAD, _HEAD, max_bytes=1 << 30)
     for name in ("triangles", "feature_vertices"):
         check_indices(folder / HEAD, name, head[name], len(head["neutral"]))
     rows = read_rows(folder, _row_type(head))
@@ -306,9 +278,10 @@ class ResultBuilder:
 
 
 def _row_type(head: dict[str, np.ndarray]) -> np.dtype:
-    meshes = MESHES if head["stages"] else MESHES[:1]
-    regions = len(head.get("held_out_regions", ()))
-    return row_type(len(head["neutral"]), len(head["expression_names"]), len(head["stage_names"]), meshes, regions)
+    sizes = {"N": len(head["neutral"]), "A": len(head["expression_names"]), "S": len(head["stage_names"])}
+    sizes["R"] = len(head.get("held_out_regions", ()))
+    left_out = {*(() if head["stages"] else MESHES[1:]), *(() if sizes["R"] else ("held_out",))}
+    return row_dtype(Result, [name for name in _ROW if name not in left_out], sizes, REASON)
 
 
 def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], correctives: np.ndarray | None = None) -> Result:
@@ -321,7 +294,8 @@ def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], correctives: np.ndar
     meshes = {name: rows[name] for name in MESHES if name in rows.dtype.names}
     _fill_gaps(small, meshes, head["neutral"])
     shared = {name: value for name, value in head.items() if name not in ("neutral", "stages")}
-    return Result(**_as_attributes(shared | small | meshes), correctives=correctives)
+    data = by_attribute(Result, "the rows", shared | small | meshes)
+    return Result(**_consistent(data), correctives=correctives)
 
 
 def _fill_gaps(small: dict[str, np.ndarray], meshes: dict[str, np.ndarray], neutral: np.ndarray) -> None:
@@ -339,14 +313,9 @@ def _fill_gaps(small: dict[str, np.ndarray], meshes: dict[str, np.ndarray], neut
             mesh[index] = mesh[last[index]]
 
 
-def _as_attributes(data: dict) -> dict:
-    """Arrays of text as the attributes of a :class:`Result`."""
-    for name in ("expression_names", "stage_names", "reasons", "held_out_regions"):
-        data[name] = tuple(str(text) for text in data.get(name, ()))
-    if not data["held_out_regions"]:
+def _consistent(data: dict[str, Any]) -> dict[str, Any]:
+    """Attributes of a :class:`Result` without what has no meaning alone."""
+    if not data.get("held_out_regions"):
         data.pop("held_out", None)
-    data["head_pose"] = data.pop(POSE)
-    data["parameters"] = str(data["parameters"])
-    data["colour_only"], data["mirrored"] = (bool(data.get(name, False)) for name in ("colour_only", "mirrored"))
-    data["turned"] = int(data.get("turned", 0)) % 4
+    data["turned"] = data.get("turned", 0) % 4
     return data

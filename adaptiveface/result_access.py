@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, cast, overload
 
 import numpy as np
 
 from .errors import MissingExtraError, ParameterError
+from .files.records import declared
 from .mesh import transform_points
 from .polydata import correctives, surface
 from .renamed import renamed
@@ -90,7 +91,7 @@ class ResultAccess:
         """Frame ``key`` (negative: from the end), or the result of the frames of a slice. Raises :class:`IndexError`."""
         if isinstance(key, slice):
             result = cast(Any, self)
-            rows = {entry.name: getattr(self, entry.name) for entry in fields(result) if entry.name in _PER_FRAME}
+            rows = {name: getattr(self, name) for name, entry in declared(type(result)) if entry.shape[:1] == ("F",)}
             return replace(result, **{name: value[key] for name, value in rows.items() if value is not None})
         index = range(len(self))[key]
         return ResultFrame(
@@ -212,29 +213,3 @@ def time_table(values: np.ndarray, timestamps: np.ndarray, names: tuple[str, ...
         raise MissingExtraError("tables need pandas: python -m pip install 'adaptiveface[pandas]'") from None
     index = pandas.to_timedelta(np.asarray(timestamps, float), unit="s").rename("time")
     return pandas.DataFrame(np.asarray(values, float), index=index, columns=list(names))
-
-
-_PER_FRAME = frozenset(
-    (
-        "vertices",
-        "v1",
-        "v2",
-        "v3",
-        "tracked",
-        "skipped",
-        "timestamps",
-        "head_pose",
-        "coefficients",
-        "coefficients_initial",
-        "corrective_updates",
-        "sample_state",
-        "residual",
-        "anchor_distance",
-        "adaptive_distance",
-        "reasons",
-        "stage_ms",
-        "held_out",
-        "gaze",
-        "gaze_known",
-    )
-)

@@ -13,7 +13,7 @@ import logging
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -24,19 +24,6 @@ _log = logging.getLogger(__name__)
 HEAD, ROWS = "head.npz", "rows.bin"
 #: Characters kept of the reason why a frame is not tracked.
 REASON = 200
-
-
-def row_type(vertices: int, expressions: int, stages: int, meshes: tuple[str, ...], regions: int = 0) -> np.dtype:
-    """The dtype of one row; ``meshes``: names of its meshes (vertices, 3); ``regions`` of held-out landmarks."""
-    float32: dict[str, tuple[int, ...]] = dict.fromkeys(meshes, (vertices, 3))
-    float32 |= {"rigid": (4, 4), "coefficients": (expressions,), "coefficients_initial": (expressions,)}
-    float32 |= {"stage_ms": (stages,), "residual": (), "anchor_distance": (), "adaptive_distance": ()}
-    float32 |= {"held_out": (regions,)} if regions else {}
-    fields: list[tuple[str, Any, tuple[int, ...]]] = [("timestamps", np.float64, ())]
-    fields += [(name, np.float32, shape) for name, shape in float32.items()]
-    fields += [("corrective_updates", np.int32, ()), ("reasons", f"<U{REASON}", ())]
-    fields += [("sample_state", np.int8, ()), ("tracked", np.bool_, ()), ("skipped", np.bool_, ())]
-    return np.dtype(fields, align=True)
 
 
 def unfinished_folder(result: str | os.PathLike) -> Path:

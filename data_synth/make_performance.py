@@ -23,6 +23,7 @@ import numpy as np
 from tqdm import tqdm
 
 from adaptiveface.errors import AdaptiveFaceError
+from adaptiveface.npz import write_npz
 from adaptiveface.sensors.recording import RecordingWriter
 from adaptiveface.synthetic.noise import DEPTH_SCALES
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -46,10 +47,7 @@ def make_performance(
     arrays["neutral"] = performer.neutral.astype(np.float32)
     arrays["triangles"] = performer.triangles.astype(np.int32)
     arrays["expression_names"] = np.array(performer.expression_names)
-    path = Path(out) / "ground_truth.npz"
-    with open(f"{path}.part", "wb") as stream:
-        np.savez_compressed(stream, **arrays)
-    os.replace(f"{path}.part", path)
+    write_npz(Path(out) / "ground_truth.npz", arrays, compressed=True)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -11,6 +11,7 @@ from scipy.ndimage import map_coordinates
 from adaptiveface.actor import Actor
 from adaptiveface.appearance import BLURS
 from adaptiveface.errors import FileFormatError
+from adaptiveface.files import records
 from adaptiveface.frame import FEATURE_IDS, FEATURE_REGIONS, Features2D, RgbdFrame
 from adaptiveface.mesh import surface_points, transform_points
 from adaptiveface.neutral.appearance import gather_appearance
@@ -211,8 +212,8 @@ def test_it_is_saved_with_the_actor_and_checked(actor, tmp_path):
     path = tmp_path / "actor.npz"
     actor.save(path)
     loaded = Actor.load(path).appearance
-    for name, array in actor.appearance.arrays().items():
-        np.testing.assert_allclose(getattr(loaded, name.removeprefix("appearance_")), array, rtol=1e-6, atol=1e-6)
+    for name, array in records.arrays(actor.appearance).items():
+        np.testing.assert_allclose(getattr(loaded, name), array, rtol=1e-6, atol=1e-6)
     with np.load(path) as data:
         arrays = dict(data)
     for name, value in {

@@ -198,7 +198,7 @@ import resource, sys, numpy as np
 from pathlib import Path
 from adaptiveface.face_model import embedded_face_model
 from adaptiveface.result import Result
-from adaptiveface.rows import FileRows, row_type
+from adaptiveface.rows import FileRows
 from adaptiveface import result as module
 frames, folder = int(sys.argv[1]), Path(sys.argv[2])
 n = 7000

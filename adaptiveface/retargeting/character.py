@@ -13,8 +13,7 @@ import numpy as np
 
 from ..errors import FileFormatError, ParameterError
 from ..face_model import FaceModel, embedded_face_model
-from ..files import replacing
-from ..npz import Field, check_indices, load_checked
+from ..npz import Field, check_indices, load_checked, write_npz
 from ..polydata import expression_weights, surface
 from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
@@ -143,8 +142,7 @@ class Character:
             arrays["mix"] = self.mix.astype(np.float32)
         if self.colours is not None:
             arrays["colours"] = self.colours.astype(np.uint8)
-        with replacing(path) as temporary, open(temporary, "wb") as stream:
-            np.savez_compressed(stream, **arrays)
+        write_npz(path, arrays, compressed=True)
 
 
 def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Character:

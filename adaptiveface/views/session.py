@@ -23,12 +23,11 @@ from ..caches import cache_folder
 from ..camera import Camera
 from ..errors import AdaptiveFaceError, FileFormatError
 from ..evaluation import GroundTruth, TruthFrame
-from ..files import replacing
 from ..frame import Features2D, RgbdFrame
 from ..mesh import surface_points
 from ..neutral.choice import LOOK, choose, judge
 from ..neutral.take import face_found
-from ..npz import Field, load_checked
+from ..npz import Field, load_checked, write_npz
 from ..parameters import Parameters
 from ..pipeline import FrameReader, capture_from, one_blas_thread
 from ..sensors import open_source
@@ -168,8 +167,7 @@ def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None)
         data = _render(source, neutral_frames, count)
         with _not_cached():
             cache.mkdir(parents=True, exist_ok=True)
-            with replacing(data_file, shared=True) as part, open(part, "wb") as stream:
-                np.savez(stream, **data)
+            write_npz(data_file, data, shared=True)
             actor_file.unlink(missing_ok=True)
     return _session(source, data, neutral_frames, actor_file)
 
