@@ -15,6 +15,7 @@ from .files.records import array, arrays, part, read, record
 from .frame import FEATURE_IDS
 from .npz import write_npz
 from .polydata import cloud, expression_weights, surface
+from .skin import Skin
 
 if TYPE_CHECKING:
     from .face_model import FaceModel
@@ -34,7 +35,8 @@ class Actor:
     N vertices, T triangles, A expressions; P points of the neutral scan, M identity coefficients.
 
     ``appearance`` tells how the neutral looks around its features, where they were detected in colour pictures.
-    ``landmarks`` are the detector's other landmarks on this mesh. Both may be None.
+    ``landmarks`` are the detector's other landmarks on this mesh. ``skin`` tells how the whole face looks, from the same
+    pictures as ``appearance``. Each of them may be None.
     """
 
     neutral: np.ndarray = array("N 3", doc="neutral face b0, head frame", unit="mm")
@@ -55,6 +57,7 @@ class Actor:
     feature_ids: np.ndarray = array("40", "i4", "iBUG-68 numbers of the features", default_factory=lambda: FEATURE_IDS)
     appearance: Appearance | None = part(Appearance, "appearance_")
     landmarks: FeatureSet | None = part(FeatureSet, _LANDMARK)
+    skin: Skin | None = part(Skin, "skin_")
 
     @classmethod
     def untransferred(cls, model: FaceModel, neutral: np.ndarray) -> Actor:
@@ -104,6 +107,8 @@ class Actor:
             data["appearance"] = Appearance.checked(path, data["appearance"])
         if data["landmarks"] is not None:
             data["landmarks"] = checked_set(path, data["landmarks"], _LANDMARK)
+        if data["skin"] is not None:
+            data["skin"] = Skin.checked(path, data["skin"])
         return cls(**data)
 
 

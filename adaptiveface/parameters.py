@@ -439,6 +439,21 @@ class RefinementParameters(Stage):
 
 
 @dataclass(frozen=True)
+class SkinParameters(Stage):
+    """The whole face's colours in the Laplacian step, so that v2 follows motion within the surface; not in the paper."""
+
+    on: bool = parameter(False, "follow the skin by the neutral's colours, where the scan had colour", paper=False)
+    spacing: float = parameter(
+        1.5, "distance between the samples from which the most telling are kept", unit="mm", low=0.5, high=10
+    )
+    samples: int = parameter(2000, "samples that are followed, the most telling first", low=10, high=8000)
+    weight: float = parameter(1.0, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
+    noise: float = parameter(4.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
+    rounds: int = parameter(2, "times that the colours are linearised", low=1, high=20)
+    cg_iterations: int = parameter(3, "preconditioned conjugate-gradient iterations of a round", low=1, high=50)
+
+
+@dataclass(frozen=True)
 class Parameters(StageSet):
     """All stages; frozen, so that a run can be named by its parameters."""
 
@@ -451,6 +466,7 @@ class Parameters(StageSet):
     blendshapes: BlendshapeParameters = field(default_factory=BlendshapeParameters)
     kalman: KalmanParameters = field(default_factory=KalmanParameters)
     laplacian: LaplacianParameters = field(default_factory=LaplacianParameters)
+    skin: SkinParameters = field(default_factory=SkinParameters)
     adaptive_pca: AdaptivePcaParameters = field(default_factory=AdaptivePcaParameters)
 
 

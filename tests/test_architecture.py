@@ -15,7 +15,7 @@ FLOORS = (
         *("errors", "renamed", "files", "npz", "caches", "blas", "interrupt"),
         *("stages", "parameters"),
         "timing",
-        *("camera", "frame", "mesh", "polydata", "rendering", "painting", "appearance", "feature_set"),
+        *("camera", "frame", "mesh", "polydata", "rendering", "painting", "appearance", "skin", "feature_set"),
         *("lab", "livelink"),
     ),
     ("face_model", "actor", "blendshapes", "insides", "gaze"),
@@ -47,6 +47,7 @@ TRACKING = {
     "blas",
     "caches",
     "registration",
+    "skin",
 }
 
 

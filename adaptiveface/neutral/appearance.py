@@ -17,7 +17,7 @@ from .features import surface_patch
 #: Cosine between skin and viewing ray from which on a picture counts at all.
 MIN_COSINE = 0.3
 #: A sample needs as much as one view in which it faces the camera by this cosine.
-_SEEN = 0.5
+SEEN = 0.5
 
 
 def gather_appearance(
@@ -43,7 +43,7 @@ def gather_appearance(
         total += weight
         for sums, blur in zip(colours, BLURS, strict=True):
             sums += weight[:, None] * cv2.remap(channels(frame.colour, blur), at, None, cv2.INTER_LINEAR)[:, 0]
-    kept = total > (_SEEN - MIN_COSINE) ** 4
+    kept = total > (SEEN - MIN_COSINE) ** 4
     if not kept.any():
         return None
     return Appearance(triangles[kept], weights[kept], feature[kept], colours[:, kept] / total[kept, None])
@@ -61,7 +61,7 @@ def _samples(actor: Actor, radius: float, spacing: float) -> tuple[np.ndarray, n
         for corners in surface_patch(frontal, vertices, actor.feature_triangles[f], home, radius):
             a, b, c = vertices[corners]
             size = np.sqrt(np.linalg.norm(np.cross(b - a, c - a)))
-            shares = _inner_grid(max(1, int(np.ceil(size / spacing))))
+            shares = inner_grid(max(1, int(np.ceil(size / spacing))))
             shares = shares[np.linalg.norm(shares @ vertices[corners] - home, axis=1) <= radius]
             triangles.append(np.repeat(corners[None], len(shares), axis=0))
             weights.append(shares)
@@ -69,7 +69,7 @@ def _samples(actor: Actor, radius: float, spacing: float) -> tuple[np.ndarray, n
     return np.concatenate(triangles), np.concatenate(weights), np.concatenate(feature)
 
 
-def _inner_grid(steps: int) -> np.ndarray:
+def inner_grid(steps: int) -> np.ndarray:
     """(steps (steps + 1) / 2, 3) evenly spread barycentric weights inside a triangle."""
     i, j = np.meshgrid(np.arange(steps), np.arange(steps), indexing="ij")
     inside = i + j < steps

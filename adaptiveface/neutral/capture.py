@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..actor import Actor
-from ..appearance import Appearance
 from ..blendshapes import deformation_transfer
 from ..errors import TrackingError
 from ..face_model import FaceModel, embedded_face_model
@@ -21,6 +20,7 @@ from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
 from .plausible import ImplausibleFaceError, check_fit, say_doubtful_size
 from .shrink_wrap import ShrinkWrap, shrink_wrap
+from .skin import gather_skin
 
 DEFAULTS = Parameters()
 
@@ -83,15 +83,19 @@ def capture_neutral(
     landmarks = calibrated_landmarks(scan, model, wrap.vertices)
     actor = replace(actor, feature_triangles=places[0], feature_weights=places[1], landmarks=landmarks)
     if constraints.trust < 1.0:  # detected, with errors of their own
-        actor = replace(actor, appearance=_appearance(actor, frames, scan, parameters))
+        actor = _looked_at(actor, frames, scan, parameters)
     report("blendshapes", 1.0)
     return NeutralCapture(scan, fit, wrap, constraints, actor)
 
 
-def _appearance(actor: Actor, frames: Sequence[RgbdFrame], scan: FusedScan, parameters: Parameters) -> Appearance | None:
-    """How the neutral looks in the frames of the scan, which are read again: their colour was not kept."""
-    views = ((frames[number], pose) for number, pose in zip(scan.frames, scan.poses, strict=True))
-    return gather_appearance(actor, views, parameters.refinement)
+def _looked_at(actor: Actor, frames: Sequence[RgbdFrame], scan: FusedScan, parameters: Parameters) -> Actor:
+    """The actor with how the neutral looks in the frames of the scan, which are read again: their colour was not kept."""
+
+    def views() -> Iterator[tuple[RgbdFrame, np.ndarray]]:
+        return ((frames[number], pose) for number, pose in zip(scan.frames, scan.poses, strict=True))
+
+    appearance = gather_appearance(actor, views(), parameters.refinement)
+    return replace(actor, appearance=appearance, skin=gather_skin(actor, views(), parameters.skin))
 
 
 def build_actor(

@@ -26,6 +26,7 @@ from ..mesh import cotangent_laplacian
 from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
 from .prefactored import LaplacianOperator, PrefactoredSystem
+from .skin_term import SkinTerm
 
 #: Row numbers (m,) and directions (m, 3) of the features' rows, and the factor of their Woodbury system; None without rows.
 Correction = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, bool] | None]
@@ -80,7 +81,7 @@ class LaplacianDeformation:
         w2: float,
         laplacian: LaplacianOperator = cotangent_laplacian,
     ) -> None:
-        self.w1 = w1
+        self.w1, self.w2 = w1, w2
         self.system = PrefactoredSystem(vertices, triangles, frontal, w1, w2, laplacian)
         # A corner outside the frontal region does not move: its share of the feature is dropped.
         self.corners = (np.cumsum(frontal) - 1)[feature_triangles]
@@ -96,7 +97,14 @@ class LaplacianDeformation:
     def reweighted(self, w1: float, w2: float) -> LaplacianDeformation:
         """The same surface and features with other energy weights; costs less than a new one."""
         out = copy.copy(self)
-        out.w1, out.system = w1, self.system.reweighted(w1, w2)
+        out.w1, out.w2, out.system = w1, w2, self.system.reweighted(w1, w2)
+        out._respond()
+        return out
+
+    def bounded(self, extra: np.ndarray) -> LaplacianDeformation:
+        """The same energies, whose constant matrix A0 also bounds further rows: of at most ``extra`` (n,) at the vertices."""
+        out = copy.copy(self)
+        out.system = self.system.reweighted(self.w1 + extra, self.w2)
         out._respond()
         return out
 
@@ -149,16 +157,25 @@ class LaplacianDeformation:
         return displacement
 
     def deform(
-        self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm, start: np.ndarray, steps: int
+        self,
+        matches: Correspondences,
+        normals: np.ndarray,
+        term: FeatureTerm,
+        start: np.ndarray,
+        steps: int,
+        skin: SkinTerm | None = None,
     ) -> np.ndarray:
         """Displacement (n, 3) towards depth and features by ``steps`` preconditioned conjugate-gradient steps.
 
-        ``matches`` of the n frontal vertices (weight 0: none) with ``normals`` (n, 3) in the head frame; ``start`` (n, 3).
+        ``matches`` of the n frontal vertices (weight 0: none) with ``normals`` (n, 3) in the head frame; ``start`` (n, 3);
+        ``skin``: the colours' rows, for a deformation that is ``bounded`` for them.
         """
         strength = self.w1 * matches.weights
         correction = self._feature_correction(term)
         displacement = start.copy()
         residual = self.right_hand_side(matches, normals, term) - self._apply(displacement, strength, normals, term)
+        if skin is not None:
+            residual += skin.right_hand_side(len(residual)) - skin.image(displacement)
         direction, previous = np.zeros_like(residual), 1.0
         for step in range(steps):
             preconditioned = self._precondition(residual, correction)
@@ -167,6 +184,8 @@ class LaplacianDeformation:
                 break
             direction = preconditioned + (slope / previous if step else 0.0) * direction
             image = self._apply(direction, strength, normals, term)
+            if skin is not None:
+                image += skin.image(direction)
             length = slope / float(np.vdot(direction, image))
             displacement += length * direction
             residual -= length * image

@@ -19,8 +19,8 @@ LaplacianOperator = Callable[[np.ndarray, np.ndarray], sp.spmatrix]
 class PrefactoredSystem:
     """A0 = w1 I + w2 L^T L on the frontal vertices, factorised once: A0 = P^T G D G^T P with G unit lower triangular.
 
-    ``laplacian(vertices, triangles)`` gives L (N, N). Raises RuntimeError when A0 is singular (w1 = 0 and no vertex
-    outside the frontal region).
+    ``w1`` is one weight, or one for each frontal vertex; ``laplacian(vertices, triangles)`` gives L (N, N). Raises RuntimeError
+    when A0 is singular (w1 = 0 and no vertex outside the frontal region).
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class PrefactoredSystem:
         vertices: np.ndarray,
         triangles: np.ndarray,
         frontal: np.ndarray,
-        w1: float,
+        w1: float | np.ndarray,
         w2: float,
         laplacian: LaplacianOperator = cotangent_laplacian,
     ) -> None:
@@ -36,15 +36,15 @@ class PrefactoredSystem:
         self._bending = (rows.T @ rows).tocsr()
         self._factorise(w1, w2)
 
-    def reweighted(self, w1: float, w2: float) -> PrefactoredSystem:
+    def reweighted(self, w1: float | np.ndarray, w2: float) -> PrefactoredSystem:
         """The same surface with other energy weights: only the factorisation is made anew."""
         out = copy.copy(self)
         out._factorise(w1, w2)
         return out
 
-    def _factorise(self, w1: float, w2: float) -> None:
+    def _factorise(self, w1: float | np.ndarray, w2: float) -> None:
         self.smoothing = w2 * self._bending
-        matrix = (self.smoothing + w1 * sp.identity(self._bending.shape[0])).tocsc()
+        matrix = (self.smoothing + sp.diags(np.broadcast_to(np.asarray(w1, float), self._bending.shape[0]))).tocsc()
         # The matrix is symmetric positive definite: diagonal pivots and a symmetric ordering keep the factor sparse.
         factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         lower = factor.L

@@ -14,12 +14,16 @@ from ..parameters import (
     KalmanParameters,
     RefinementParameters,
     RigidParameters,
+    SkinParameters,
 )
+from ..skin import Skin
 from .adaptive_pca import AdaptiveModel
+from .dense_skin import DenseSkin
 from .expression import BlendshapeFit
 from .feature_refinement import FeatureRefinement
 from .kalman import CoefficientFilter
 from .laplacian import LaplacianDeformation
+from .region import FrontalRegion
 from .rigid import RigidTracker
 
 
@@ -45,6 +49,8 @@ class Stages:
         Sections 4.3 and 5.
     refinement : (actor, parameters) -> FeatureRefinement
         Not in the paper; made only for an actor whose appearance is known.
+    skin : (skin, frontal region, deformation, parameters) -> DenseSkin
+        Not in the paper; made only for an actor whose skin is known.
     """
 
     rigid: Callable[[np.ndarray, RigidParameters], RigidTracker] = RigidTracker
@@ -54,3 +60,4 @@ class Stages:
     final_deformation: Callable[[Actor, float, float], LaplacianDeformation] = LaplacianDeformation.of
     adaptive_pca: Callable[[Actor, np.ndarray, AdaptivePcaParameters], AdaptiveModel] = AdaptiveModel
     refinement: Callable[[Actor, RefinementParameters], FeatureRefinement] = FeatureRefinement
+    skin: Callable[[Skin, FrontalRegion, LaplacianDeformation, SkinParameters], DenseSkin] = DenseSkin

@@ -10,9 +10,10 @@ from ..actor import Actor
 from ..frame import Features2D, RgbdFrame
 from ..mesh import transform_points
 from ..parameters import Parameters
-from ..registration.association import find_correspondences
+from ..registration.association import Correspondences, find_correspondences
 from ..registration.surface import DepthSurface, crop_window, depth_surface, occluded_share
 from .base import Tracker, differ, timed
+from .dense_skin import DenseSkin
 from .detection import pose_from_features
 from .feature_confidence import weigh_features
 from .feature_refinement import FeatureRefinement
@@ -46,11 +47,20 @@ class FaceTracker(Tracker):
         if differ(old, p, "refinement"):
             known = self.actor.appearance is not None and p.refinement.on
             self.refinement: FeatureRefinement | None = make.refinement(self.actor, p.refinement) if known else None
+        if differ(old, p, "skin", "laplacian"):
+            self.skin = self._make_skin()
         if differ(old, p, "blendshapes", "rigid"):
             fitted = self.blendshapes.depth_vertices
             motion = np.linalg.norm(self.blendshapes.basis[:, fitted], axis=2).max(axis=0)
             self.rigid = make.rigid(1.0 / (1.0 + (motion / p.rigid.stiff) ** 2), p.rigid)
             self._fitted = self.region.local[fitted]
+
+    def _make_skin(self) -> DenseSkin | None:
+        """The colour term, where the actor's skin is known; it works with soft rows only."""
+        p, skin = self.parameters, self.actor.skin
+        if skin is None or not p.skin.on or p.laplacian.depth_term != "point-to-plane" or p.laplacian.feature_rows != "soft":
+            return None
+        return self.stages.skin(skin, self.region, self.deformation, p.skin)
 
     def track(self, frame: RgbdFrame) -> TrackedFrame:
         """Section 4 for one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
@@ -74,7 +84,10 @@ class FaceTracker(Tracker):
             )
             v1 = self.blendshapes.shape(x)
         with timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
-            deformation, coverage, occluded = self._deform_to_depth(surface, frame, pose, v1, normals)
+            deformation, matches, occluded = self._deform_to_depth(surface, frame, pose, v1, normals)
+            coverage = matches.count / max(int(self._may_match.sum()), 1)
+        with timed(ms, "skin"):  # motion within the surface, which depth does not see
+            deformation = self._follow_skin(frame, pose, v1, deformation, matches)
             v2 = self.region.displaced(v1, deformation)
         with timed(ms, "projection"):  # section 4.3, last equation
             v3 = self._project(v2)
@@ -166,12 +179,11 @@ class FaceTracker(Tracker):
     # ---- sections 4.3, 4.4 and 5 -----------------------------------------------------------------------------------
     def _deform_to_depth(
         self, surface: DepthSurface, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, normals: np.ndarray
-    ) -> tuple[np.ndarray, float, float]:
-        """Displacement (n, 3); shares of the vertices that have depth, and that something in front of them hides."""
+    ) -> tuple[np.ndarray, Correspondences, float]:
+        """Displacement (n, 3); the depth matched; share of the vertices that something in front of them hides."""
         p = self.parameters.laplacian
         matches = find_correspondences(surface, v1[self.region.vertices], normals, p.max_correspondence_distance, pose)
         matches.weights[~self._may_match] = 0.0
-        coverage = matches.count / max(int(self._may_match.sum()), 1)
         occluded = occluded_share(surface, matches.points[::3], normals[::3] @ pose[:3, :3].T, p.max_correspondence_distance)
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
@@ -180,9 +192,19 @@ class FaceTracker(Tracker):
             term = self._printed_term(frame, pose, v1, rise)
         if p.depth_term == "point-to-point":
             offsets = depth_offsets(matches, pose, self.state.deformation)
-            return self.deformation.deform_to_points(offsets, term), coverage, occluded
+            return self.deformation.deform_to_points(offsets, term), matches, occluded
         planes = matches.normals @ pose[:3, :3]
-        return self.deformation.deform(matches, planes, term, self.state.deformation, p.cg_iterations), coverage, occluded
+        return self.deformation.deform(matches, planes, term, self.state.deformation, p.cg_iterations), matches, occluded
+
+    def _follow_skin(
+        self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, deformation: np.ndarray, matches: Correspondences
+    ) -> np.ndarray:
+        """``deformation`` (n, 3) with the motion within the surface that the colours show."""
+        if self.skin is None or frame.colour is None:
+            return deformation
+        term = self._feature_term(frame, pose, v1, self.parameters.laplacian.feature_weight, hold_depth=False)
+        depth = matches, matches.normals @ pose[:3, :3]
+        return self.skin.deform(frame, pose, v1[self.region.vertices], deformation, depth, term)
 
     def _learn(self, deformation: np.ndarray, coverage: float, occluded: float) -> SampleState:
         """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""

@@ -30,6 +30,7 @@ STAGE_NAMES = (
     "rigid",
     "blendshapes",
     "laplacian",
+    "skin",
     "projection",
     "final_deformation",
     "adaptive_pca",

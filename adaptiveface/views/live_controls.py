@@ -15,7 +15,19 @@ from .kernel import ALERT
 from .parameter_panel import ParameterPanel
 
 #: The tracker's stages act on the next frame, the neutral's on the next scan.
-STAGES = ("laplacian", "adaptive_pca", "blendshapes", "kalman", "rigid", "refinement", "depth", "fusion", "fit", "shrink_wrap")
+STAGES = (
+    "laplacian",
+    "skin",
+    "adaptive_pca",
+    "blendshapes",
+    "kalman",
+    "rigid",
+    "refinement",
+    "depth",
+    "fusion",
+    "fit",
+    "shrink_wrap",
+)
 _ROW = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
 _NARROW = {"description_width": "70px"}
 

@@ -21,6 +21,7 @@ TITLES = {
     "blendshapes": "blendshape fit (4.2)",
     "kalman": "Kalman filter (4.2)",
     "laplacian": "Laplacian (4.3, 4.4)",
+    "skin": "dense skin",
     "adaptive_pca": "adaptive PCA (5)",
 }
 #: Jupyter's tabs have one width and cut longer titles off.

@@ -1,0 +1,236 @@
+"""The colours of the whole face in the Laplacian step: what is gathered, the rows, what they bring, and when they keep away."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from adaptiveface.actor import Actor
+from adaptiveface.errors import FileFormatError
+from adaptiveface.frame import FEATURE_IDS, FEATURE_REGIONS, RgbdFrame
+from adaptiveface.mesh import surface_points, transform_points, triangle_normals, vertex_normals
+from adaptiveface.neutral.capture import build_actor
+from adaptiveface.neutral.skin import LIDS, gather_skin
+from adaptiveface.parameters import Parameters
+from adaptiveface.registration.association import Correspondences
+from adaptiveface.synthetic.sensor import SyntheticSensor
+from adaptiveface.tracking import dense_skin
+from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation
+from adaptiveface.tracking.skin_term import SkinTerm
+from adaptiveface.tracking.tracker import FaceTracker
+
+ON, OFF = Parameters().set(skin__on=True), Parameters().set(skin__on=False)
+NEUTRAL, FIRST, LAST = 12, 22, 34
+
+
+@pytest.fixture(scope="module")
+def sensor() -> SyntheticSensor:
+    return SyntheticSensor(7, "truedepth", NEUTRAL, 60, repeats=1, feature_noise=0.0)
+
+
+@pytest.fixture(scope="module")
+def frames(sensor) -> list[RgbdFrame]:
+    return [sensor.read(index) for index in range(FIRST, LAST)]
+
+
+@pytest.fixture(scope="module")
+def actor(sensor) -> Actor:
+    plain = build_actor(sensor.performer.model, sensor.performer.neutral)
+    views = [(sensor.read(index), sensor.ground_truth(index).head_pose) for index in range(0, NEUTRAL, 3)]
+    return replace(plain, skin=gather_skin(plain, views, ON.skin))
+
+
+def v2_of(actor: Actor, frames: list[RgbdFrame], parameters: Parameters) -> list[np.ndarray]:
+    """v2 of every frame in the camera frame, (N, 3)."""
+    tracker = FaceTracker(actor, parameters)
+    return [tracked.in_camera(tracked.v2) for tracked in map(tracker.track, frames)]
+
+
+def within_surface(sensor: SyntheticSensor, actor: Actor, meshes: list[np.ndarray]) -> float:
+    """Mean error within the surface, mm, over the frontal region and the frames from ``FIRST`` on."""
+    errors = []
+    for index, mesh in enumerate(meshes, FIRST):
+        truth = sensor.ground_truth(index).vertices
+        normals = vertex_normals(truth, actor.triangles)
+        error = mesh - truth
+        error -= (error * normals).sum(axis=1, keepdims=True) * normals
+        errors.append(np.linalg.norm(error[actor.frontal & actor.depth_valid], axis=1))
+    return float(np.mean(errors))
+
+
+def test_samples_cover_the_face_and_leave_the_lids_out(actor):
+    skin, homes = actor.skin, surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)
+    points = surface_points(actor.neutral, skin.triangles, skin.weights)
+    away = np.linalg.norm(points[:, None] - homes[FEATURE_REGIONS == "eyes"], axis=2)
+    # The corners keep away from the lids, and so nearly do the samples between them.
+    assert away.min() > LIDS - 2.0
+    assert np.isfinite(skin.colours).all() and (skin.deviations >= 0).all()
+    first = points[:2000]
+    rest = points[2000:]
+    gap = np.array([np.linalg.norm(first - point, axis=1).min() for point in rest[::50]])
+    assert np.median(gap) < 4.0  # the first ones lie everywhere
+
+
+def test_without_colour_there_is_no_skin(sensor, actor):
+    views = [(replace(sensor.read(0), colour=None), sensor.ground_truth(0).head_pose)]
+    assert gather_skin(actor, views, ON.skin) is None
+
+
+def test_it_is_saved_with_the_actor_and_checked(actor, tmp_path):
+    path = tmp_path / "actor.npz"
+    actor.save(path)
+    loaded = Actor.load(path).skin
+    for entry in fields(loaded):
+        np.testing.assert_allclose(getattr(loaded, entry.name), getattr(actor.skin, entry.name), rtol=1e-5, atol=1e-5)
+    with np.load(path) as data:
+        arrays = dict(data)
+    np.savez(path, **{name: array for name, array in arrays.items() if not name.startswith("skin_")})
+    assert Actor.load(path).skin is None  # as older versions wrote it
+    for name, value in {
+        "skin_triangles": arrays["skin_triangles"] + 10**6,
+        "skin_weights": arrays["skin_weights"] * 2,
+        "skin_deviations": -arrays["skin_deviations"],
+        "skin_detail": None,
+    }.items():
+        broken = {key: array for key, array in (arrays | {name: value}).items() if array is not None}
+        np.savez(path, **broken)
+        with pytest.raises(FileFormatError, match="skin"):
+            Actor.load(path)
+
+
+def test_rows_are_those_of_explicit_sums():
+    """A few triangles before a random picture: M and the pull against SciPy's interpolation and matrix products."""
+    rng = np.random.default_rng(3)
+    picture, gu, gv = rng.uniform(0, 40, (3, 60, 80, 3)).astype(np.float32)
+    vertices = np.array([0.0, 0, 600]) + rng.uniform(-20, 20, (12, 3))
+    triangles = np.array([sorted(rng.choice(12, 3, replace=False)) for _ in range(20)])
+    facing = (triangle_normals(vertices, triangles) * vertices[triangles[:, 0]]).sum(axis=1) < 0
+    triangles[~facing] = triangles[~facing][:, ::-1]
+    shares = rng.dirichlet(np.ones(3), 20)
+    variances = rng.uniform(9, 30, (20, 3))
+    rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    points, normals, counts = dense_skin._carry(vertices, triangles, shares, np.ones(12, bool), 600.0)
+    lens = (500.0, 510.0, 40.0, 30.0)
+    np.testing.assert_allclose(points, surface_points(vertices, triangles, shares))
+    x, y, z = points.T
+    at = np.stack([510.0 * y / z + 30.0, 500.0 * x / z + 40.0])
+    value, du, dv = (np.stack([map_coordinates(m[..., c], at, order=1) for c in range(3)], axis=1) for m in (picture, gu, gv))
+    colours = value + rng.normal(0, [1.0, 6.0, 0.0], (20, 3))  # found again, half found again, lost
+    colours[:, 2] = rng.uniform(18, 22, 20)
+    matrices, forces = dense_skin._normal_equations(
+        (picture, gu, gv), points, normals, counts, colours, variances, rotation, lens, 0.7
+    )
+
+    residual, share = value - colours, counts[:, None] / variances
+    left = (share * residual**2).sum(axis=0)
+    there = (share * (colours - (share * colours).sum(axis=0) / share.sum(axis=0)) ** 2).sum(axis=0)
+    low, high = dense_skin.EXPLAINED
+    trust = np.clip((1 - left / there - low) / (high - low), 0, 1)
+    trust *= np.clip((1 - left.sum() / there.sum() - low) / (high - low), 0, 1)
+    assert trust[0] > trust[1] > trust[2] == 0.0
+    variance = np.maximum(left / counts.sum(), 1.0) * variances
+    weight = 0.7 * trust * counts[:, None] / (variance * (1 + residual**2 / (3 * variance)) ** 2)
+    rays = np.stack([500.0 * np.stack([1 / z, 0 * z, -x / z**2], 1), 510.0 * np.stack([0 * z, 1 / z, -y / z**2], 1)], axis=1)
+    rows = du[..., None] * rays[:, None, 0] + dv[..., None] * rays[:, None, 1]
+    rows -= (rows * normals[:, None]).sum(axis=2, keepdims=True) * normals[:, None]
+    rows = rows @ rotation
+    np.testing.assert_allclose(matrices, np.einsum("qc,qci,qcj->qij", weight, rows, rows), rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(forces, -np.einsum("qc,qc,qci->qi", weight, residual, rows), rtol=1e-4, atol=1e-7)
+
+
+def test_conjugate_gradients_reach_the_minimum_of_depth_and_colour():
+    """Against one dense system, on a bent square whose rim stays."""
+    rng = np.random.default_rng(5)
+    u, v = np.meshgrid(np.arange(9.0), np.arange(9.0))
+    vertices = 5.0 * np.column_stack([u.ravel(), v.ravel(), 0.1 * u.ravel() * v.ravel()])
+    grid = np.arange(81).reshape(9, 9)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]))
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([b, d, c])])
+    inner = np.zeros((9, 9), bool)
+    inner[1:-1, 1:-1] = True
+    deformation = LaplacianDeformation(vertices, triangles, inner.ravel(), triangles[:1], np.ones((1, 3)) / 3, 0.1, 1.5)
+    n = int(inner.sum())
+    normals = rng.standard_normal((n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    matches = Correspondences(rng.normal(0, 1, n), normals, rng.uniform(0, 1, n))
+    corners, shares = rng.integers(0, n, (30, 3)), rng.dirichlet(np.ones(3), 30)
+    factors, pulls = 0.3 * rng.standard_normal((30, 2, 3)), rng.standard_normal((30, 3))
+    skin = SkinTerm(corners, shares, np.einsum("qri,qrj->qij", factors, factors), pulls)
+    none = FeatureTerm(np.zeros(0, int), np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
+
+    at = np.zeros((30, n))
+    np.add.at(at, (np.arange(30)[:, None], corners), shares)
+    smoothing = deformation.system.smoothing.toarray()
+    matrix = np.einsum("ij,kl->ikjl", smoothing, np.eye(3))
+    matrix[np.arange(n), :, np.arange(n)] += 0.1 * matches.weights[:, None, None] * normals[:, :, None] * normals[:, None]
+    matrix += np.einsum("qi,qkl,qj->ikjl", at, skin.matrices, at)
+    right = -0.1 * (matches.weights * matches.distances)[:, None] * normals + at.T @ pulls
+    exact = np.linalg.solve(matrix.reshape(3 * n, 3 * n), right.ravel()).reshape(n, 3)
+    bounded = deformation.bounded(np.full(n, 0.1))
+    found = bounded.deform(matches, normals, none, np.zeros((n, 3)), 60, skin)
+    np.testing.assert_allclose(found, exact, atol=1e-6 * np.abs(exact).max())
+
+
+def test_motion_within_the_surface_is_followed(sensor, actor, frames):
+    """Exact features of a moving face: colour takes a sixth of the error within the surface, twice to the same bits."""
+    with_colour, without = v2_of(actor, frames, ON), v2_of(actor, frames, OFF)
+    assert within_surface(sensor, actor, with_colour) < 5 / 6 * within_surface(sensor, actor, without)
+    np.testing.assert_array_equal(with_colour[-1], v2_of(actor, frames, ON)[-1])
+
+
+def test_off_without_colour_and_in_the_papers_reading_it_changes_nothing(actor, frames):
+    assert not Parameters.paper().skin.on
+    plain = replace(actor, skin=None)
+    grey = [replace(frame, colour=None) for frame in frames[:3]]
+    np.testing.assert_array_equal(v2_of(actor, frames[:3], OFF)[-1], v2_of(plain, frames[:3], ON)[-1])
+    np.testing.assert_array_equal(v2_of(actor, grey, ON)[-1], v2_of(plain, grey, ON)[-1])
+    literal = Parameters.paper().set(skin__on=True)  # its depth term has no place for more rows
+    assert FaceTracker(actor, literal).skin is None
+
+
+def test_a_light_that_is_off_tells_nothing(sensor, actor, frames):
+    """A black picture with the sensor's grain: the surface stays where depth and features see it."""
+    rng = np.random.default_rng(0)
+    dark = [replace(frame, colour=rng.integers(0, 3, frame.colour.shape).astype(np.uint8)) for frame in frames[:3]]
+    np.testing.assert_array_equal(v2_of(actor, dark, ON)[-1], v2_of(actor, frames[:3], OFF)[-1])
+
+
+def test_late_and_frozen_colour_does_no_harm(sensor, actor, frames):
+    """Colour of three frames before, or of the first frame for ever: not worse than without colour by more than a twentieth."""
+    allowed = 1.05 * within_surface(sensor, actor, v2_of(actor, frames, OFF))
+    late = [replace(frame, colour=frames[max(k - 3, 0)].colour) for k, frame in enumerate(frames)]
+    frozen = [replace(frame, colour=frames[0].colour) for frame in frames]
+    for stale in (late, frozen):
+        assert within_surface(sensor, actor, v2_of(actor, stale, ON)) < allowed
+
+
+def test_a_hand_before_the_cheek_does_no_harm(sensor, actor, frames):
+    """A blob of another colour before a cheek: around it the skin is still followed better than without colour."""
+    covered = [with_blob(sensor, frame) for frame in frames]
+    assert within_surface(sensor, actor, v2_of(actor, covered, ON)) < within_surface(sensor, actor, v2_of(actor, covered, OFF))
+
+
+def with_blob(sensor: SyntheticSensor, frame: RgbdFrame) -> RgbdFrame:
+    """The frame with a greenish disc of 25 mm radius, 40 mm before the middle of the subject's left cheek."""
+    model = sensor.performer.model
+    places = surface_points(sensor.ground_truth(frame.index).vertices, model.feature_triangles, model.feature_weights)
+    middle = places[np.isin(FEATURE_IDS, [45, 54])].mean(axis=0)  # outer corner of the eye, corner of the mouth
+    u, v = frame.camera.project(middle[None])[0]
+    radius = 25.0 * frame.camera.fx / middle[2]
+    columns, rows = np.meshgrid(np.arange(frame.camera.width), np.arange(frame.camera.height))
+    disc = (columns - u) ** 2 + (rows - v) ** 2 < radius**2
+    colour = np.where(disc[..., None], np.array([70, 140, 80], np.uint8), frame.colour)
+    return replace(frame, colour=colour, depth=np.where(disc, np.float32(middle[2] - 40.0), frame.depth))
+
+
+def test_a_running_tracker_can_switch_it(actor, frames):
+    tracker = FaceTracker(actor, ON)
+    tracker.track(frames[0])
+    without = tracker.with_parameters(OFF)
+    assert without.skin is None and tracker.skin is not None
+    assert without.with_parameters(ON).skin is not None
+    moved = transform_points(tracker.pose, tracker.state.v4)
+    assert np.isfinite(moved).all()
