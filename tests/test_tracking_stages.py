@@ -414,6 +414,8 @@ def test_prefactored_system_equals_a_fresh_solve(actor):
     right = np.random.default_rng(2).normal(size=(int(actor.frontal.sum()), 3))
     matrix = (system.smoothing + 0.1 * sp.identity(len(right))).tocsc()
     np.testing.assert_allclose(system.solve(right), spsolve(matrix, right), atol=1e-9)
+    single = system.precondition(right)
+    assert 0.0 < np.abs(single - system.solve(right)).max() < 1e-4 * np.abs(single).max()
     strength, normals = np.random.default_rng(4).random(len(right)), right[::-1].copy()
     pull = (strength * (normals * right).sum(axis=1))[:, None] * normals
     np.testing.assert_allclose(system.apply(right, strength, normals), system.smoothing @ right + pull, atol=1e-9)

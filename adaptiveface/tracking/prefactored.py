@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 
 from ..caches.compiled import compiled
 from ..mesh import cotangent_laplacian
+from .packed_factor import PackedFactor
 
 #: L (N, N) of a mesh: ``laplacian(vertices (N, 3), triangles (T, 3))``.
 LaplacianOperator = Callable[[np.ndarray, np.ndarray], sp.spmatrix]
@@ -47,16 +48,7 @@ class PrefactoredSystem:
         matrix = (self.smoothing + sp.diags(np.broadcast_to(np.asarray(w1, float), self._bending.shape[0]))).tocsc()
         # The matrix is symmetric positive definite: diagonal pivots and a symmetric ordering keep the factor sparse.
         factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        lower = factor.L
-        lower.sort_indices()
-        below = np.ones(lower.nnz, bool)
-        below[lower.indptr[:-1]] = False  # each column begins with its unit diagonal, which is not stored
-        starts = lower.indptr - np.arange(len(lower.indptr))
-        self._pattern = starts.astype(np.int32), lower.indices[below].astype(np.int32)
-        self._alike = _alike_columns(*self._pattern)
-        self._values = lower.data[below]
-        self._single_values = self._values.astype(np.float32)
-        self._inverse_diagonal, self._order = 1.0 / factor.U.diagonal(), factor.perm_r.astype(np.int32)
+        self.factor = PackedFactor(factor.L, factor.U.diagonal(), factor.perm_r)
 
     def solve(self, right_hand_side: np.ndarray) -> np.ndarray:
         """A0^-1 b for b (n, c)."""
@@ -64,16 +56,13 @@ class PrefactoredSystem:
         for first in range(0, right_hand_side.shape[1], 3):
             block = np.zeros((len(solution), 3))
             block[:, : right_hand_side.shape[1] - first] = right_hand_side[:, first : first + 3]
-            solved = _solve_three(*self._pattern, self._alike, self._values, self._inverse_diagonal, self._order, block)
+            solved = self.factor.solve(block)
             solution[:, first : first + 3] = solved[:, : right_hand_side.shape[1] - first]
         return solution
 
     def precondition(self, residual: np.ndarray) -> np.ndarray:
         """A0^-1 r for r (n, 3) from the factor in single precision: enough for a search direction, and faster to stream."""
-        single = self._single_values
-        return _solve_three(
-            *self._pattern, self._alike, single, self._inverse_diagonal, self._order, np.ascontiguousarray(residual)
-        )
+        return self.factor.solve(residual, single=True)
 
     def apply(self, d: np.ndarray, strength: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """w2 L^T L d plus the pull along the ``normals`` (n, 3) by ``strength`` (n,), for a displacement d (n, 3)."""
@@ -81,107 +70,6 @@ class PrefactoredSystem:
             self.smoothing.indptr, self.smoothing.indices, self.smoothing.data, strength, normals, d
         )
         return image
-
-
-@compiled
-def _alike_columns(starts: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(n,) how many columns from each one on have the same rows below them, up to their dense triangle: a supernode's rest."""
-    n = len(starts) - 1
-    alike = np.ones(n, np.int32)
-    for j in range(n - 2, -1, -1):
-        first, second, end = starts[j], starts[j + 1], starts[j + 2]
-        same = second - first == end - second + 1 and rows[first] == j + 1
-        for k in range(end - second):
-            same = same and rows[first + 1 + k] == rows[second + k]
-        if same:
-            alike[j] = alike[j + 1] + 1
-    return alike
-
-
-@compiled
-def _solve_three(
-    starts: np.ndarray,
-    rows: np.ndarray,
-    alike: np.ndarray,
-    values: np.ndarray,
-    inverse_diagonal: np.ndarray,
-    order: np.ndarray,
-    right: np.ndarray,
-) -> np.ndarray:
-    """P^T G^-T D^-1 G^-1 P b for b (n, 3): the three coordinates share one pass over the factor (SuperLU makes three).
-
-    Two neighbouring columns of a supernode, then two more, are eliminated in one pass over the rows that they share. Every
-    sum is still taken column by column, so that this changes no result.
-    """
-    n = len(inverse_diagonal)
-    y = np.empty((n, 3))
-    for i in range(n):
-        y[order[i], 0], y[order[i], 1], y[order[i], 2] = right[i, 0], right[i, 1], right[i, 2]
-    j = 0
-    while j < n:
-        if alike[j] >= 4:
-            _eliminate_four(starts, rows, values, y, j)
-            j += 4
-        elif alike[j] >= 2:
-            _eliminate_two(starts, rows, values, y, j)
-            j += 2
-        else:
-            a, b, c = y[j, 0], y[j, 1], y[j, 2]
-            for k in range(starts[j], starts[j + 1]):
-                row, value = np.uint32(rows[k]), values[k]
-                y[row, 0] -= value * a
-                y[row, 1] -= value * b
-                y[row, 2] -= value * c
-            j += 1
-    for j in range(n - 1, -1, -1):
-        scale = inverse_diagonal[j]
-        a, b, c = y[j, 0] * scale, y[j, 1] * scale, y[j, 2] * scale
-        for k in range(starts[j], starts[j + 1]):
-            row, value = np.uint32(rows[k]), values[k]
-            a -= value * y[row, 0]
-            b -= value * y[row, 1]
-            c -= value * y[row, 2]
-        y[j, 0], y[j, 1], y[j, 2] = a, b, c
-    solution = np.empty((n, 3))
-    for i in range(n):
-        solution[i, 0], solution[i, 1], solution[i, 2] = y[order[i], 0], y[order[i], 1], y[order[i], 2]
-    return solution
-
-
-@compiled(inline="always")
-def _eliminate_two(starts: np.ndarray, rows: np.ndarray, values: np.ndarray, y: np.ndarray, j: int) -> None:
-    """Columns j and j + 1 of the forward substitution, in place."""
-    s0, s1, end = starts[j], starts[j + 1], starts[j + 2]
-    a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
-    value = values[s0]
-    a1, b1, c1 = y[j + 1, 0] - value * a0, y[j + 1, 1] - value * b0, y[j + 1, 2] - value * c0
-    y[j + 1, 0], y[j + 1, 1], y[j + 1, 2] = a1, b1, c1
-    for k in range(end - s1):
-        i, v0, v1 = np.uint32(rows[s1 + k]), values[s0 + 1 + k], values[s1 + k]
-        y[i, 0] = y[i, 0] - v0 * a0 - v1 * a1
-        y[i, 1] = y[i, 1] - v0 * b0 - v1 * b1
-        y[i, 2] = y[i, 2] - v0 * c0 - v1 * c1
-
-
-@compiled(inline="always")
-def _eliminate_four(starts: np.ndarray, rows: np.ndarray, values: np.ndarray, y: np.ndarray, j: int) -> None:
-    """Columns j to j + 3 of the forward substitution, in place."""
-    s0, s1, s2, s3, end = starts[j], starts[j + 1], starts[j + 2], starts[j + 3], starts[j + 4]
-    for p, start in ((0, s0), (1, s1), (2, s2)):  # their own triangle
-        for q in range(3 - p):
-            value = values[start + q]
-            for c in range(3):
-                y[j + p + 1 + q, c] -= value * y[j + p, c]
-    a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
-    a1, b1, c1 = y[j + 1, 0], y[j + 1, 1], y[j + 1, 2]
-    a2, b2, c2 = y[j + 2, 0], y[j + 2, 1], y[j + 2, 2]
-    a3, b3, c3 = y[j + 3, 0], y[j + 3, 1], y[j + 3, 2]
-    for k in range(end - s3):
-        i = np.uint32(rows[s3 + k])
-        v0, v1, v2, v3 = values[s0 + 3 + k], values[s1 + 2 + k], values[s2 + 1 + k], values[s3 + k]
-        y[i, 0] = y[i, 0] - v0 * a0 - v1 * a1 - v2 * a2 - v3 * a3
-        y[i, 1] = y[i, 1] - v0 * b0 - v1 * b1 - v2 * b2 - v3 * b3
-        y[i, 2] = y[i, 2] - v0 * c0 - v1 * c1 - v2 * c2 - v3 * c3
 
 
 @compiled

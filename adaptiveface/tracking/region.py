@@ -35,7 +35,7 @@ class FrontalRegion:
 
     def normals(self, mesh: np.ndarray) -> np.ndarray:
         """(n, 3) unit normals of the region of a ``mesh`` (N, 3)."""
-        return vertex_normals(mesh[self.vertices], self._triangles)
+        return vertex_normals(mesh.take(self.vertices, axis=0), self._triangles)
 
     def displacement(self, mesh: np.ndarray) -> np.ndarray:
         """(3n,) displacement of the region of a ``mesh`` (N, 3) from the neutral, mm."""

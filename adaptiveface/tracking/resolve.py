@@ -66,7 +66,7 @@ class SparseResolve:
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """(A,) coefficients of a mesh (N, 3) in the head frame, mm; ``start`` (A,) is a first guess."""
-        displacement = (vertices[self._frontal] - self._neutral).ravel().astype(self._dtype, copy=False)
+        displacement = (vertices.take(self._frontal, axis=0) - self._neutral).ravel().astype(self._dtype, copy=False)
         return few_coefficients(self._matrix, self._basis @ displacement, self._penalty, *self._bounds, start, self._solver)
 
 

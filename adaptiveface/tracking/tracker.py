@@ -78,7 +78,7 @@ class FaceTracker(Tracker):
             frame = weigh_features(frame, expected)
 
         with timed(ms, "blendshapes"):  # section 4.2
-            stiff = normals[self._fitted]
+            stiff = normals.take(self._fitted, axis=0)
             pose, x = self.blendshapes.fit(
                 surface, frame.features, frame.camera, rigid.pose, last.coefficients, stiff, settle=self._filtered
             )
@@ -134,8 +134,8 @@ class FaceTracker(Tracker):
                 continue
             with timed(ms, "rigid"):
                 mesh = self.state.v4 if self.parameters.rigid.shape == "output" else self.state.v1
-                shape = mesh[self.blendshapes.depth_vertices]
-                fit = self.rigid.align(surface, shape, normals[self._fitted], start)
+                shape = mesh.take(self.blendshapes.depth_vertices, axis=0)
+                fit = self.rigid.align(surface, shape, normals.take(self._fitted, axis=0), start)
             if fit.residual < self.parameters.rigid.max_residual:
                 if self._agrees(frame, fit.pose):
                     return fit, surface
@@ -182,7 +182,9 @@ class FaceTracker(Tracker):
     ) -> tuple[np.ndarray, Correspondences, float]:
         """Displacement (n, 3); the depth matched; share of the vertices that something in front of them hides."""
         p = self.parameters.laplacian
-        matches = find_correspondences(surface, v1[self.region.vertices], normals, p.max_correspondence_distance, pose)
+        matches = find_correspondences(
+            surface, v1.take(self.region.vertices, axis=0), normals, p.max_correspondence_distance, pose
+        )
         matches.weights[~self._may_match] = 0.0
         occluded = occluded_share(surface, matches.points[::3], normals[::3] @ pose[:3, :3].T, p.max_correspondence_distance)
         if p.feature_rows == "soft":
