@@ -1,5 +1,6 @@
-// Bundles src/heads.js and what it takes from three.js into adaptiveface/assets/heads.js: npm ci && npm run build
-// The bundle is checked in, so that pip needs no node. tests/test_heads.py tells when it is older than its sources.
+// Bundles src/heads.js and what it takes from three.js into adaptiveface/assets/heads.js, and src/saved.js, which takes nothing
+// from it, into saved_heads.js: npm ci && npm run build
+// The bundles are checked in, so that pip needs no node. tests/test_heads.py tells when they are older than their sources.
 
 import { createHash } from "node:crypto";
 import { copyFileSync, readFileSync, readdirSync } from "node:fs";
@@ -11,14 +12,20 @@ const sources = ["package.json", ...readdirSync("src").sort().map((name) => `src
 const digest = createHash("sha256");
 for (const name of sources) digest.update(readFileSync(name, "utf8").replaceAll("\r\n", "\n"));
 
+const built = `Built by js/build.mjs from sources ${digest.digest("hex")}`;
+const common = { bundle: true, minify: true, target: "es2022", legalComments: "inline" };
 await build({
+  ...common,
   entryPoints: ["src/heads.js"],
   outfile: assets + "heads.js",
-  bundle: true,
-  minify: true,
   format: "esm",
-  target: "es2022",
-  legalComments: "inline",
-  banner: { js: `// three.js ${three}, MIT, see LICENSE-three.txt. Built by js/build.mjs from sources ${digest.digest("hex")}` },
+  banner: { js: `// three.js ${three}, MIT, see LICENSE-three.txt. ${built}` },
+});
+await build({
+  ...common,
+  entryPoints: ["src/saved.js"],
+  outfile: assets + "saved_heads.js",
+  format: "iife",
+  banner: { js: `// ${built}` },
 });
 copyFileSync("node_modules/three/LICENSE", assets + "LICENSE-three.txt");

@@ -19,8 +19,8 @@ def test_the_bundle_was_built_from_these_sources():
     digest = hashlib.sha256()
     for path in (SOURCES / "package.json", *sorted((SOURCES / "src").glob("*.js"))):
         digest.update(path.read_bytes().replace(b"\r\n", b"\n"))
-    banner = (ASSETS / "heads.js").read_text(encoding="utf-8").splitlines()[0]
-    assert digest.hexdigest() in banner
+    banner, saved = ((ASSETS / name).read_text(encoding="utf-8").splitlines()[0] for name in ("heads.js", "saved_heads.js"))
+    assert digest.hexdigest() in banner and digest.hexdigest() in saved
     wanted = json.loads((SOURCES / "package.json").read_text())["dependencies"]["three"]
     locked = json.loads((SOURCES / "package-lock.json").read_text())["packages"]["node_modules/three"]["version"]
     assert re.search(r"three.js (\S+), MIT", banner)[1] == wanted == locked
@@ -97,3 +97,34 @@ def test_without_webgl_the_same_picture_is_drawn(tmp_path):
     seen = ask(tmp_path / "page", tmp_path, f"{PAGE}{text}</script>", {"heads.js": ASSETS / "heads.js"})
     assert seen["size"] == [90, 33] and seen["drawn"] > 1200
     assert seen["far"] < 0.02 * seen["drawn"], f"smooth edges alone differ less: {seen}"
+
+
+CELL = """
+import ipywidgets as widgets, numpy as np
+from adaptiveface import views
+points = np.array([[-60.0, -60, 0], [60, -60, 0], [0, 80, 0], [0, 0, 60]])
+view = views.FaceView(points, np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]]), ["left", "right"], limits=(0, 5), label="mm")
+chart = views.LiveChart(("error",), (0, 9), (0, 1), "frame", "mm")
+widgets.VBox([view.widget, chart.widget])
+"""
+SAVED_PAGE = """{html}<script>document.addEventListener("adaptiveface-picture", (event) => {{
+  const out = document.createElement("pre");
+  out.id = "out";
+  const sizes = [...document.querySelectorAll(".adaptiveface-saved img")].map((image) => image.naturalWidth);
+  out.textContent = JSON.stringify({{camera: event.target.dataset.camera, titles: document.body.innerText, sizes}});
+  document.body.append(out);
+}}, {{once: true}});</script>"""
+
+
+def test_a_notebook_made_html_has_heads_that_turn_and_pictures(tmp_path):
+    """Without a network: what would fetch the live widgets' code fails, and the picture stands there all the same."""
+    nbformat = pytest.importorskip("nbformat", reason="the extra 'notebooks' is not installed")
+    nbclient = pytest.importorskip("nbclient", reason="the extra 'test' is not installed")
+    nbconvert = pytest.importorskip("nbconvert", reason="the extra 'notebooks' is not installed")
+    from web import ask
+
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(CELL)])
+    nbclient.NotebookClient(notebook, timeout=300).execute()
+    html, _ = nbconvert.HTMLExporter().from_notebook_node(notebook)
+    seen = ask(tmp_path / "page", tmp_path, SAVED_PAGE.format(html=html.replace("https://", "http://127.0.0.1:9/")), {})
+    assert seen["camera"] == "0 0 1" and "left" in seen["titles"] and seen["sizes"] == [380], "a chart beside the heads"

@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import base64
 import dataclasses
+import gzip
+import json
+import re
 import threading
 import time
 from contextlib import ExitStack
@@ -16,6 +19,7 @@ pytest.importorskip("ipywidgets", reason="the extra 'notebooks' is not installed
 pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
 
 import cv2  # noqa: E402
+import ipywidgets as widgets  # noqa: E402
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame  # noqa: E402
 
 from adaptiveface import views  # noqa: E402
@@ -25,7 +29,7 @@ from adaptiveface.insides import make_insides, placed  # noqa: E402
 from adaptiveface.mesh import cotangent_laplacian, rotation_vector_matrix, vertex_normals  # noqa: E402
 from adaptiveface.parameters import Parameters, describe  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
-from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study  # noqa: E402
+from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study, saved  # noqa: E402
 from adaptiveface.views.kernel import BackgroundTask, on_main_thread, shown_errors  # noqa: E402
 from adaptiveface.views.pictures import annotate  # noqa: E402
 from adaptiveface.views.session import Session, liveliest_window  # noqa: E402
@@ -231,15 +235,19 @@ def test_a_view_hands_its_heads_to_pyvista(session):
         view.mesh("v4")
 
 
-def test_a_displayed_view_leaves_a_picture(session):
+def test_a_displayed_view_leaves_its_pictures_and_a_head_that_turns(session):
     """What a saved notebook shows where no kernel runs."""
     bench = bench_of(session)
-    for widget in (bench.view.widget, bench.widget):
-        bundle = widget._repr_mimebundle_()
-        assert "application/vnd.jupyter.widget-view+json" in bundle
-        png = np.frombuffer(base64.b64decode(bundle["image/png"]), np.uint8)
-        picture = cv2.cvtColor(cv2.imdecode(png, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
-        assert np.array_equal(picture, bench.view.picture()) and picture.std() > 20
+    text = saved.saved(bench.widget)
+    pictures = [base64.b64decode(data) for data in re.findall(r"data:image/[a-z]+;base64,([A-Za-z0-9+/=]+)", text)]
+    assert pictures[1:] == [bytes(chart._image.value) for chart, _ in bench.charts] + [bytes(bench.camera._image.value)]
+    head = cv2.cvtColor(cv2.imdecode(np.frombuffer(pictures[0], np.uint8), cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+    assert np.abs(head.astype(int) - bench.view.picture()).mean() < 3 and head.std() > 20
+    data = re.search(r"octet-stream'>([^<]+)<", text)[1]
+    sent = json.loads(gzip.decompress(base64.b64decode(data)))
+    positions = base64.b64decode(sent["buffers"][sent["state"]["frame"][1]["positions"]["bytes"]])
+    assert positions == bench.view._image.frame[1]["positions"] and sent["state"]["titles"] == list(bench.view.titles)
+    assert saved.saved(widgets.VBox([widgets.IntSlider()])) == "", "boxes of other people stay as they are"
     bench.close()
 
 

@@ -17,6 +17,7 @@ try:
 except ImportError:
     raise MissingExtraError('the notebooks need more packages: python -m pip install "adaptiveface[notebooks]"') from None
 
+from . import saved
 from .charts import BarChart, GridChart, LiveChart
 from .face_view import FaceView
 from .kernel import on_main_thread, running_tasks, strict
@@ -31,6 +32,9 @@ from .stage_explorer import SeriesCache, StageExplorer, error_chart, figure_11
 from .turntable import Turntable
 
 __getattr__ = old_objects(__name__)
+
+# What is displayed leaves pictures in the notebook.
+saved.install()
 
 # For the whole kernel: on shared cores a second BLAS thread stalls small products for up to 100 ms, a stutter.
 threadpool_limits(limits=1, user_api="blas")

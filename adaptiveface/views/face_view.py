@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import ipywidgets as widgets
 import numpy as np
 
 from ..actor import Actor
 from ..insides import make_insides, moved
 from ..polydata import surface
 from . import heads, still
-from .pictured import Pictured
 
 #: Colour maps that people with any colour vision can order: of lengths, and of signed values.
 COLOURMAP, SIGNED = "viridis", "coolwarm"
@@ -65,7 +65,8 @@ class FaceView:
             palette=heads.palette(self.colourmap),
             differs=self._compare,
         )
-        self.widget = Pictured([self._image], self.picture)
+        self._image.still = self.picture
+        self.widget = widgets.VBox([self._image])
 
     @classmethod
     def of(cls, actor: Actor, titles: Sequence[str] = ("",), **options) -> FaceView:

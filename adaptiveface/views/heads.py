@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import anywidget
@@ -48,6 +49,11 @@ class Heads(anywidget.AnyWidget):
     exaggeration = traitlets.Float(1.0).tag(sync=True)
     renderer = traitlets.Enum(["auto", "webgl", "canvas"], "auto").tag(sync=True)
     name = traitlets.Unicode("adaptiveface-face").tag(sync=True)
+    still: Callable[[], np.ndarray] | None = None  #: draws the picture that stays without a browser, (H, W, 3) uint8
+
+    def own_traits(self) -> list[str]:
+        """The names of what the browser has of this view."""
+        return [name for name, trait in Heads.class_own_traits().items() if trait.metadata.get("sync")]
 
 
 def palette(colourmap: str) -> bytes:

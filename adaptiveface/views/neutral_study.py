@@ -21,7 +21,6 @@ from ..pipeline import one_blas_thread
 from ..tracking.bounded import bounded_least_squares
 from .face_view import FaceView
 from .kernel import on_main_thread, shown_errors
-from .pictured import Pictured
 from .session import Session
 from .sliders import TypedNumbers, ValueSlider, linear_steps
 
@@ -43,7 +42,7 @@ class _Study(ABC):
         box = widgets.VBox([*controls, self.message, TypedNumbers(controls)], layout=column)
         box.add_class("adaptiveface-numbers")
         row = widgets.HBox([box, self.view.widget], layout=widgets.Layout(flex_flow="row wrap"))
-        self.box, self.widget = box, Pictured([row], self.view.picture)
+        self.box, self.widget = box, widgets.VBox([row])
         self._redraw()
 
     def _redraw(self) -> None:

@@ -15,7 +15,6 @@ from ..parameters import Parameters
 from .charts import GridChart
 from .face_view import FaceView
 from .measures import Measures
-from .pictured import Pictured
 from .player import Player
 from .replay import Replay
 from .session import Session
@@ -51,7 +50,7 @@ class AblationView:
         self.view = FaceView.of(session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(300, 330))
         self._eyes, self.note = GazeEstimator(session.actor), widgets.HTML()
         self.player = Player(len(self.frames), self.show)
-        self.widget = Pictured([self.view.widget, self.player.widget, self.note], self.view.picture)
+        self.widget = widgets.VBox([self.view.widget, self.player.widget, self.note])
         self.player.go_to(start) if start else self.show(0)
 
     def show(self, index: int) -> None:

@@ -22,7 +22,6 @@ from .face_view import FaceView
 from .kernel import on_main_thread
 from .measures import Measures, Pane, model_features
 from .parameter_panel import ParameterPanel
-from .pictured import Pictured
 from .pictures import CameraView
 from .player import Player
 from .replay import MakeTracker, Replay
@@ -100,7 +99,7 @@ class StageExplorer:
             widgets.HBox([self.player.widget, restart], layout=row),
             widgets.HBox(charts, layout=row),
         ]
-        self.widget = Pictured(parts, self.view.picture)
+        self.widget = widgets.VBox(parts)
         self.widget.add_class("adaptiveface-workbench")
 
     def _ipython_display_(self) -> None:

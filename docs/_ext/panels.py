@@ -16,6 +16,8 @@ from PIL import Image
 
 VIEW = "application/vnd.jupyter.widget-view+json"
 STATE = "application/vnd.jupyter.widget-state+json"
+#: What views leave behind for pages without a kernel (adaptiveface.views.saved); here :data:`RENDERERS` do that.
+SAVED = "adaptiveface-saved"
 #: Pixels; wider pictures are shrunk, so that pages stay small.
 WIDEST = 900
 
@@ -73,7 +75,8 @@ def static(notebook: dict) -> dict:
         kept = []
         for output in cell.get("outputs", ()):
             view = output.get("data", {}).get(VIEW)
-            if output.get("name") == "stderr":
+            saved = SAVED in "".join(output.get("data", {}).get("text/html", ""))
+            if output.get("name") == "stderr" or saved:
                 continue
             kept += [output] if view is None else _drawn(view["model_id"], state)
         if "outputs" in cell:

@@ -1,83 +1,80 @@
 // Draws without WebGL, into the pixels of a canvas: where WebGL itself runs on the processor, it takes five times as long for
-// a head's many small triangles. Same light as in drawn.js, same camera.
-
-import { Vector3 } from "three";
+// a head's many small triangles. The light is that of webgl.js.
 
 const NEAR = 100; // mm: what is nearer to the camera is not drawn
 const BELOW = 100; // mm: so far below the middle of the face the camera sees the skin from within
+const KEY = [-0.5, 0.6, 0.5].map((value) => value / Math.hypot(0.5, 0.6, 0.5));
 
 export class Painter {
   constructor(canvas) {
-    this.context = canvas.getContext("2d");
     this.canvas = canvas;
-    this.eye = new Vector3();
-    this.key = new Vector3();
+    this.context = canvas.getContext("2d");
   }
 
-  setSize(width, height) {
-    Object.assign(this.canvas, { width, height });
-    this.image = new ImageData(width, height);
+  setSize(width, height, ratio) {
+    this.ratio = ratio;
+    Object.assign(this.canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+    this.image = new ImageData(this.canvas.width, this.canvas.height);
     this.pixels = new Uint32Array(this.image.data.buffer);
-    this.nearness = new Float32Array(width * height); // 1 / distance, 0 where there is nothing
+    this.nearness = new Float32Array(this.pixels.length); // 1 / distance, 0 where there is nothing
   }
 
-  begin() {
+  // "boxes" (left, top, width, height) of the panes, CSS pixels.
+  draw(panes, boxes, camera) {
+    this.camera = camera;
     this.pixels.fill(0);
     this.nearness.fill(0);
-  }
-
-  // A head's "things" with the camera into a pane (left, top, width, height in pixels).
-  draw({ head, inside, cloud }, camera, pane) {
-    camera.updateMatrixWorld();
-    this.pane = pane;
-    this.camera = camera;
-    const below = camera.position.y < camera.userData.pivot[1] - BELOW; // then one sees into the neck
-    for (const thing of [head, inside, cloud]) {
-      if (!thing?.object.visible) continue;
-      this.project(thing);
-      this.light(thing);
-      if (thing.triangles) this.fill(thing.triangles, thing === inside || below);
-      else this.dots(thing.object.material.uniforms.size.value);
-    }
-  }
-
-  end() {
+    const below = camera.eye[1] < camera.pivot[1] - BELOW; // then one sees into the neck
+    panes.forEach(({ head, inside, cloud }, k) => {
+      const [left, top, width, height] = boxes[k].map((edge) => edge * this.ratio);
+      const corner = [Math.round(left), Math.round(top)];
+      this.pane = [...corner, Math.round(left + width) - corner[0], Math.round(top + height) - corner[1]];
+      for (const thing of [head, inside, cloud]) {
+        if (!thing?.visible) continue;
+        this.project(thing);
+        this.light(thing);
+        if (thing.triangles) this.fill(thing.triangles, thing === inside || below);
+        else this.dots(Math.round(thing.size * this.ratio));
+      }
+    });
     this.context.putImageData(this.image, 0, 0);
   }
 
+  forget() {}
+
+  close() {}
+
   // Of every vertex its place in pixels, and 1 / distance.
-  project({ geometry }) {
-    const { matrixWorldInverse: { elements: m }, projectionMatrix: { elements: p } } = this.camera;
+  project({ position: at }) {
+    const { eye, right: [rx, ry, rz], up: [ux, uy, uz], away: [ax, ay, az], focal } = this.camera;
     const [left, top, width, height] = this.pane;
-    const at = geometry.getAttribute("position").array;
     const count = at.length / 3;
     if (!(this.x?.length >= count)) for (const name of ["x", "y", "near", "r", "g", "b"]) this[name] = new Float32Array(count);
     const { x, y, near } = this;
-    const [scaleX, scaleY] = [(p[0] * width) / 2, (p[5] * height) / 2];
+    const scale = (focal * height) / 2;
     const [middleX, middleY] = [left + width / 2, top + height / 2];
     for (let k = 0, i = 0; k < count; k++, i += 3) {
-      const [X, Y, Z] = [at[i], at[i + 1], at[i + 2]];
-      const away = -(m[2] * X + m[6] * Y + m[10] * Z + m[14]);
-      const n = away > NEAR ? 1 / away : 0;
+      const X = at[i] - eye[0];
+      const Y = at[i + 1] - eye[1];
+      const Z = at[i + 2] - eye[2];
+      const distance = -(ax * X + ay * Y + az * Z);
+      const n = distance > NEAR ? 1 / distance : 0;
       near[k] = n;
-      x[k] = middleX + scaleX * n * (m[0] * X + m[4] * Y + m[8] * Z + m[12]);
-      y[k] = middleY - scaleY * n * (m[1] * X + m[5] * Y + m[9] * Z + m[13]);
+      x[k] = middleX + scale * n * (rx * X + ry * Y + rz * Z);
+      y[k] = middleY - scale * n * (ux * X + uy * Y + uz * Z);
     }
     this.count = count;
   }
 
   // Of every vertex its colour in the light.
-  light({ geometry, unlit }) {
+  light({ position: at, normal, tint, unlit }) {
     const { r, g, b, count } = this;
-    const tint = geometry.getAttribute("tint").array;
     if (unlit) {
       for (let k = 0; k < count; k++) [r[k], g[k], b[k]] = [tint[3 * k], tint[3 * k + 1], tint[3 * k + 2]];
       return;
     }
-    const at = geometry.getAttribute("position").array;
-    const normal = geometry.getAttribute("normal").array;
-    const { x: ex, y: ey, z: ez } = this.eye.setFromMatrixPosition(this.camera.matrixWorld);
-    const { x: kx, y: ky, z: kz } = this.key.set(-0.5, 0.6, 0.5).transformDirection(this.camera.matrixWorld);
+    const [ex, ey, ez] = this.camera.eye;
+    const [kx, ky, kz] = this.camera.carried(KEY);
     for (let k = 0, i = 0; k < count; k++, i += 3) {
       let [vx, vy, vz] = [ex - at[i], ey - at[i + 1], ez - at[i + 2]];
       const v = 1 / Math.sqrt(vx * vx + vy * vy + vz * vz);

@@ -1,9 +1,7 @@
 // The value under the pointer: of the nearest vertex that is not hidden by a nearer one.
 
-import { Vector3 } from "./drawn.js";
-
 const REACH = 7; // CSS pixels
-const THICKNESS = 0.0075; // of what counts as the same surface, in depth of the picture: some 20 mm at the face
+const THICKNESS = 20; // mm of what counts as the same surface
 
 export class Picker {
   constructor(stage, bubble) {
@@ -33,17 +31,16 @@ export class Picker {
 
   find(x, y) {
     const place = this.stage.paneAt(x, y);
-    const drawn = place && [place.pane.head, place.pane.cloud].find((thing) => thing?.object.visible && thing.values);
+    const drawn = place && [place.pane.head, place.pane.cloud].find((thing) => thing?.visible && thing.values);
     if (!drawn) return null;
-    const at = drawn.geometry.getAttribute("position").array;
-    const point = new Vector3();
+    const at = drawn.position;
     const near = [];
     for (let k = 0; k < drawn.values.length; k++) {
-      point.set(at[3 * k], at[3 * k + 1], at[3 * k + 2]).project(this.stage.camera);
+      const point = this.stage.camera.project([at[3 * k], at[3 * k + 1], at[3 * k + 2]]);
       const far = Math.hypot(((point.x - place.x) * place.width) / 2, ((point.y - place.y) * place.height) / 2);
-      if (far < REACH) near.push({ vertex: k, value: drawn.values[k], far, depth: point.z });
+      if (far < REACH) near.push({ vertex: k, value: drawn.values[k], far, distance: point.distance });
     }
-    const front = Math.min(...near.map((one) => one.depth)) + THICKNESS;
-    return near.filter((one) => one.depth <= front).reduce((a, b) => (a && a.far <= b.far ? a : b), null);
+    const front = Math.min(...near.map((one) => one.distance)) + THICKNESS;
+    return near.filter((one) => one.distance <= front).reduce((a, b) => (a && a.far <= b.far ? a : b), null);
   }
 }

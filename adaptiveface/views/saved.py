@@ -1,0 +1,112 @@
+"""What stays of a displayed view where no kernel runs: pictures of all that it shows, and heads that turn in pages.
+
+A view is displayed twice. The first output is the live widget. The second one is HTML that is hidden as long as the live
+widget is in the page: a picture of every head, chart and camera. Where scripts run, as in what ``jupyter nbconvert`` makes,
+the page draws the heads itself, and the mouse turns them. JupyterLab says "Error displaying widget" for widgets of a kernel
+that has ended; the pictures then stand below.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import ipywidgets as widgets
+
+from .heads import Heads
+from .pictures import encode
+
+#: The class of what is saved, and how a page knows it.
+SAVED = "adaptiveface-saved"
+_VIEWER = Path(__file__).resolve().parents[1] / "assets" / "saved_heads.js"
+_NOTE = "As it was when the cell had run; run the cell to work with it."
+
+
+def install() -> None:
+    """From now on boxes of widgets are displayed by :func:`show`; outside IPython nothing happens."""
+    from IPython import get_ipython
+
+    shell = get_ipython()
+    if shell is not None:
+        shell.display_formatter.ipython_display_formatter.for_type(widgets.Box, show)
+
+
+def show(box: widgets.Box) -> None:
+    """Display a box of widgets, and what stays of it."""
+    from IPython.display import HTML, display
+
+    text = saved(box)
+    if text:
+        box.add_class(_live(box))
+    display(box._repr_mimebundle_(), raw=True)
+    if text:
+        display(HTML(text))
+
+
+def saved(box: widgets.Widget) -> str:
+    """HTML of every head and picture in a tree of widgets; "" where there is none."""
+    parts = [part for widget in _tree(box) for part in _part(widget)]
+    if not parts:
+        return ""
+    heads = any("<script" in part for part in parts)
+    script = f"<script>{_VIEWER.read_text(encoding='utf-8')}</script>" if heads else ""
+    rule = f"<style>body:has(.{_live(box)}) .{SAVED}-{box.model_id} {{display: none}}</style>"
+    row = f"<div style='display:flex;flex-wrap:wrap;gap:8px;align-items:flex-start'>{''.join(parts)}</div>"
+    return f"{rule}<div class='{SAVED} {SAVED}-{box.model_id}'>{row}<small>{_NOTE}</small>{script}</div>"
+
+
+def _live(box: widgets.Widget) -> str:
+    return f"adaptiveface-shown-{box.model_id}"
+
+
+def _tree(widget: widgets.Widget) -> Iterator[widgets.Widget]:
+    """A widget and all that it holds, in their order; what is hidden is left out."""
+    if widget.layout is not None and widget.layout.display == "none":
+        return
+    yield widget
+    for child in getattr(widget, "children", ()):
+        yield from _tree(child)
+
+
+def _part(widget: widgets.Widget) -> list[str]:
+    if isinstance(widget, Heads):
+        return [_head(widget)]
+    value, shown = getattr(widget, "value", None), isinstance(widget, widgets.Image) or hasattr(widget, "_esm")
+    if not (shown and isinstance(value, (bytes, memoryview)) and len(value)):
+        return []
+    value = bytes(value)
+    kind = "png" if value.startswith(b"\x89PNG") else "jpeg"
+    return [_picture(value, kind, getattr(widget, "description", "") or "picture")]
+
+
+def _picture(data: bytes, kind: str, description: str) -> str:
+    source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    return f"<img style='max-width:100%' alt='{html.escape(description, quote=True)}' src='{source}'>"
+
+
+def _head(view: Heads) -> str:
+    """A view's picture, and what the page needs to draw it."""
+    titles = ", ".join(title for title in view.titles if title) or "head"
+    picture = "" if view.still is None else _picture(encode(view.still()), "jpeg", titles)
+    data = f"<script type='application/octet-stream'>{packed(view)}</script>"
+    return f"<div class='adaptiveface-saved-head'>{picture}{data}</div>"
+
+
+def packed(view: Heads) -> str:
+    """The values that the browser has of a view, bytes among them, as text."""
+    buffers: dict[bytes, int] = {}  # panes often share a geometry
+
+    def plain(value):
+        if isinstance(value, (bytes, memoryview)):
+            return {"bytes": buffers.setdefault(bytes(value), len(buffers))}
+        if isinstance(value, dict):
+            return {name: plain(one) for name, one in value.items()}
+        return [plain(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+    state = {name: plain(getattr(view, name)) for name in view.own_traits()}
+    text = json.dumps({"state": state, "buffers": [base64.b64encode(data).decode("ascii") for data in buffers]})
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
