@@ -15,25 +15,29 @@ from __future__ import annotations
 
 import importlib
 
+from . import renamed
+
 __version__ = "0.1.0"
+
+renamed.find_old_modules()
 
 # Imported on first use: `adaptiveface --version` need not load OpenCV and numba.
 _HOME = {
-    "Actor": "actor",
+    "Actor": "model.actor",
     "AdaptiveFaceError": "errors",
-    "Camera": "camera",
-    "FaceModel": "face_model",
+    "Camera": "geometry.camera",
+    "FaceModel": "model.face_model",
     "FaceTracker": "tracking.tracker",
-    "Features2D": "frame",
+    "Features2D": "geometry.frame",
     "Parameters": "parameters",
     "Recording": "sensors.recording",
     "Result": "result",
-    "RgbdFrame": "frame",
+    "RgbdFrame": "geometry.frame",
     "SyntheticSensor": "synthetic.sensor",
     "TrackedFrame": "tracking.types",
     "capture_actor": "neutral.capture",
     "capture_from": "pipeline",
-    "embedded_face_model": "face_model",
+    "embedded_face_model": "model.face_model",
     "evaluate_run": "evaluation",
     "open_source": "sensors",
     "track_source": "pipeline",

@@ -17,21 +17,21 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from .actor import Actor
-from .blas import one_blas_thread
 from .errors import FrameError, TrackingError
-from .face_model import FaceModel, embedded_face_model
-from .frame import Features2D, RgbdFrame
-from .gaze import GazeTrack
+from .geometry.frame import Features2D, RgbdFrame
+from .geometry.mesh import surface_points
 from .landmarks import FeatureDetector, Upright
-from .mesh import surface_points
+from .model.actor import Actor
+from .model.face_model import FaceModel, embedded_face_model
+from .model.gaze import GazeTrack
 from .neutral.capture import capture_actor
 from .neutral.colour import capture_colour
 from .neutral.plausible import SizeWatch
 from .neutral.take import NeutralTake, face_found, neutral_of
 from .parameters import Parameters
 from .result import Result, ResultBuilder
-from .rows import discard, unfinished_folder
+from .result.rows import discard, unfinished_folder
+from .runtime.blas import one_blas_thread
 from .sensors import FrameSource
 from .sensors.numbered import Abilities
 from .sensors.orientation import turned

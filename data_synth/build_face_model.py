@@ -25,8 +25,8 @@ from face_model.mouth import separate_lips
 from face_model.tracking_mesh import TrackingMesh, build_tracking_mesh
 from tqdm import tqdm
 
-from adaptiveface.face_model import load_face_model
-from adaptiveface.mesh import vertex_normals
+from adaptiveface.geometry.mesh import vertex_normals
+from adaptiveface.model.face_model import load_face_model
 
 SUBJECTS, SEED, MODES = 500, 1, 50
 HEAD_ABOVE_MM, HEAD_WITHIN_MM = 540.0, 150.0  # base-mesh box of head and neck
@@ -97,7 +97,7 @@ def expression_units(base, mean: np.ndarray, anatomy: Anatomy) -> tuple[list[str
 
 
 def write_model(path: Path, space: IdentitySpace, mesh: TrackingMesh, anatomy: Anatomy, units, eye_triangles) -> None:
-    """The layout of ``adaptiveface.face_model``; displacements as float16 (error below 0.02 mm)."""
+    """The layout of ``adaptiveface.model.face_model``; displacements as float16 (error below 0.02 mm)."""
     n = len(mesh.mirror)
     names, displacements = units
     triangles, weights = place_features(space.mean[:n], anatomy)

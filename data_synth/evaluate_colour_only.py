@@ -20,9 +20,9 @@ import dataclasses
 import numpy as np
 
 from adaptiveface.evaluation import ErrorCollector
-from adaptiveface.face_model import embedded_face_model
+from adaptiveface.geometry.mesh import transform_points
 from adaptiveface.landmarks import FeatureDetector
-from adaptiveface.mesh import transform_points
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.capture import build_actor, capture_actor
 from adaptiveface.neutral.colour import capture_colour_actor
 from adaptiveface.parameters import Parameters

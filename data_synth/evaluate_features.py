@@ -27,10 +27,10 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from performer_runs import run_parser, run_performers, write_json  # noqa: E402
 
-from adaptiveface.actor import Actor  # noqa: E402
 from adaptiveface.evaluation import REPEAT, ErrorCollector, tracked_alignment  # noqa: E402
-from adaptiveface.frame import FEATURE_REGIONS, Features2D, RgbdFrame  # noqa: E402
+from adaptiveface.geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame  # noqa: E402
 from adaptiveface.landmarks import FeatureDetector  # noqa: E402
+from adaptiveface.model.actor import Actor  # noqa: E402
 from adaptiveface.neutral.capture import capture_actor  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
 from adaptiveface.synthetic.sensor import SyntheticSensor  # noqa: E402

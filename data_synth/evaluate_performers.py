@@ -27,7 +27,7 @@ from performer_runs import run_parser, run_performers, write_json  # noqa: E402
 import adaptiveface  # noqa: E402
 from adaptiveface.evaluation import REPEAT, ErrorCollector, Evaluation  # noqa: E402
 from adaptiveface.evaluation.ablation import ablation_table, run_ablations  # noqa: E402
-from adaptiveface.frame import Features2D, RgbdFrame  # noqa: E402
+from adaptiveface.geometry.frame import Features2D, RgbdFrame  # noqa: E402
 from adaptiveface.neutral.capture import capture_actor  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
 from adaptiveface.synthetic.sensor import SyntheticSensor  # noqa: E402
@@ -115,7 +115,8 @@ def _fingerprint(sensor: SyntheticSensor) -> str:
     """Changes with everything that frames depend on: the sensor's options, its code and the model it draws from."""
     package = Path(adaptiveface.__file__).parent
     sources = sorted((package / "synthetic").glob("*.py"))
-    sources += [package / "rendering.py", package / "camera.py", package / "mesh.py", package / "assets/face_model.npz"]
+    sources += [package / "geometry" / name for name in ("rendering.py", "camera.py", "mesh.py")]
+    sources.append(package / "assets/face_model.npz")
     digest = hashlib.sha256(repr((sensor.neutral_frames, sensor.frames, sensor.repeats, sensor.feature_noise)).encode())
     for path in sources:
         digest.update(path.read_bytes())

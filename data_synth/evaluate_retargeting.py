@@ -19,10 +19,10 @@ import argparse
 
 import numpy as np
 
-from adaptiveface.blendshapes import deformation_transfer
 from adaptiveface.evaluation.coefficients import compare_coefficients, known_performance
-from adaptiveface.face_model import embedded_face_model
 from adaptiveface.livelink import ARKIT_NAMES
+from adaptiveface.model.blendshapes import deformation_transfer
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.pipeline import capture_from, track_source
 from adaptiveface.retargeting.arkit import arkit_weights
 from adaptiveface.retargeting.arkit_resolve import unit_names

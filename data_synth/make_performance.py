@@ -23,7 +23,7 @@ import numpy as np
 from tqdm import tqdm
 
 from adaptiveface.errors import AdaptiveFaceError
-from adaptiveface.npz import write_npz
+from adaptiveface.files.npz import write_npz
 from adaptiveface.sensors.recording import RecordingWriter
 from adaptiveface.synthetic.noise import DEPTH_SCALES
 from adaptiveface.synthetic.sensor import SyntheticSensor

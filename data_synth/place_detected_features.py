@@ -18,7 +18,7 @@ from mediapipe.tasks.python import vision
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from adaptiveface.frame import FEATURE_IDS, MEDIAPIPE_INDICES
+from adaptiveface.geometry.frame import FEATURE_IDS, MEDIAPIPE_INDICES
 from adaptiveface.landmarks import FeatureDetector
 from adaptiveface.synthetic.sensor import SyntheticSensor
 

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from observe import observe
 
-from adaptiveface.face_model import FaceModel, load_face_model
-from adaptiveface.feature_set import yaw_of
-from adaptiveface.mesh import vertex_normals
+from adaptiveface.geometry.mesh import vertex_normals
+from adaptiveface.model.face_model import FaceModel, load_face_model
+from adaptiveface.model.feature_set import yaw_of
 from adaptiveface.neutral.features import surface_patch
 from adaptiveface.synthetic.script import HeadMotion
 from adaptiveface.synthetic.sensor import SyntheticSensor

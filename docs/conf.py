@@ -65,6 +65,6 @@ autodoc_mock_imports = [
 
 generated.write_pages(
     HERE,
-    ("adaptiveface", "adaptiveface.polydata", "adaptiveface.registration.step") if quick else None,
+    ("adaptiveface", "adaptiveface.geometry.polydata", "adaptiveface.registration.step") if quick else None,
     buttons.repository(os.environ, (HERE.parent / "pyproject.toml").read_text(encoding="utf-8")),
 )

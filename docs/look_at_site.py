@@ -29,7 +29,7 @@ PAGES = (
     "_generated/parameters",
     "_generated/notebooks/02_blendshapes",
     "_generated/notebooks/06_incremental_pca",
-    "_generated/api/adaptiveface.polydata",
+    "_generated/api/adaptiveface.geometry.polydata",
 )
 TOO_WIDE = """() => {
   const found = [];

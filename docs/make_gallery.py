@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from adaptiveface.polydata import load_pyvista
+from adaptiveface.geometry.polydata import load_pyvista
 
 HERE = Path(__file__).resolve().parent
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from adaptiveface.actor import Actor
 from adaptiveface.files.records import table
+from adaptiveface.model.actor import Actor
 from adaptiveface.result import Result
 
 DOCS = Path(__file__).resolve().parent

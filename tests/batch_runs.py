@@ -29,7 +29,7 @@ from tqdm import tqdm  # noqa: E402
 
 from adaptiveface.batch import Batch, dask_client, expand, find_sources  # noqa: E402
 from adaptiveface.batch.work import DONE, run_job  # noqa: E402
-from adaptiveface.blas import one_blas_thread  # noqa: E402
+from adaptiveface.runtime.blas import one_blas_thread  # noqa: E402
 from adaptiveface.synthetic.sensor import SyntheticSensor  # noqa: E402
 
 #: Leading frames that show the neutral; each performance is played twice.

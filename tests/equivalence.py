@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptiveface.frame import RgbdFrame
+from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.pipeline import capture_from, one_blas_thread
 from adaptiveface.sensors import Recording, RecordingWriter
 from adaptiveface.synthetic.sensor import SyntheticSensor

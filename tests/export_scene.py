@@ -7,9 +7,9 @@ import socket
 import numpy as np
 from scenes import exact_actor
 
-from adaptiveface.actor import Actor
 from adaptiveface.export.animation import AnimatedMesh, actor_animation, character_animation
-from adaptiveface.mesh import transform_points
+from adaptiveface.geometry.mesh import transform_points
+from adaptiveface.model.actor import Actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights

@@ -53,8 +53,8 @@ def play(folder: Path, focal: float | None = None, aligned: bool = True, live: b
 
 
 def _child(out: str, options: str) -> None:
-    from adaptiveface.camera import Camera
     from adaptiveface.errors import SensorDisconnectedError
+    from adaptiveface.geometry.camera import Camera
     from adaptiveface.sensors import list_sensors
     from adaptiveface.sensors.kinect1 import Kinect1Driver
 

@@ -503,7 +503,7 @@ def prepare(folder: Path) -> None:
     """The good inputs that hostile ones are made of: ``take`` and ``result.npz``."""
     from recordings import talking_head
 
-    from adaptiveface.actor import Actor
+    from adaptiveface.model.actor import Actor
     from adaptiveface.pipeline import track_source
     from adaptiveface.sensors import Recording
 

@@ -31,10 +31,10 @@ from live_faults import (
     without_depth,
 )
 
-from adaptiveface.actor import Actor
 from adaptiveface.errors import AdaptiveFaceError, SensorDisconnectedError
-from adaptiveface.frame import RgbdFrame
+from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.live import FeatureFeed, LiveSession
+from adaptiveface.model.actor import Actor
 from adaptiveface.pipeline import capture_from
 from adaptiveface.sensors import live as live_module
 from adaptiveface.sensors.live import LiveSensor

@@ -27,7 +27,6 @@ import cv2
 import numpy as np
 from recordings import SMALL, talking_head
 
-from adaptiveface.actor import Actor
 from adaptiveface.errors import AdaptiveFaceError
 from adaptiveface.export import video
 from adaptiveface.export.animation import AnimatedMesh
@@ -35,14 +34,15 @@ from adaptiveface.export.arkit_csv import read_arkit_csv, write_arkit_csv
 from adaptiveface.export.gltf import read_glb_animation, write_glb
 from adaptiveface.export.obj_sequence import read_obj_sequence, write_obj_sequence
 from adaptiveface.export.usd import read_usd, write_usd
-from adaptiveface.face_model import embedded_face_model, load_face_model, save_face_model
-from adaptiveface.frame import FEATURE_IDS, Features2D, RgbdFrame
-from adaptiveface.interrupt import orderly_end
+from adaptiveface.geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from adaptiveface.landmarks import model_file
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.face_model import embedded_face_model, load_face_model, save_face_model
 from adaptiveface.pipeline import track_source
 from adaptiveface.report import write_report
 from adaptiveface.result import Result
 from adaptiveface.retargeting.retarget import Performance
+from adaptiveface.runtime.interrupt import orderly_end
 from adaptiveface.sensors import Recording, RecordingWriter
 
 SIGNALS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "KILL": signal.SIGKILL}

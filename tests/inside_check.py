@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from trimesh.triangles import closest_point
 
+from adaptiveface.geometry.mesh import boundary_loops
 from adaptiveface.insides import Insides
-from adaptiveface.mesh import boundary_loops
 
 
 def parts_of(insides: Insides) -> dict[str, slice]:

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from adaptiveface.camera import Camera
 from adaptiveface.errors import EndOfRecording
-from adaptiveface.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import Features2D, RgbdFrame
 from adaptiveface.sensors.driver import Driver, RawFrame
 from adaptiveface.sensors.playback import raw_frame
 

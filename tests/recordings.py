@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
 
-from adaptiveface.actor import Actor
-from adaptiveface.camera import Camera
-from adaptiveface.mesh import transform_points
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.mesh import transform_points
+from adaptiveface.model.actor import Actor
 from adaptiveface.sensors import RecordingWriter
 
 #: A quarter of VGA: enough for a face at 0.6 m, and quick.

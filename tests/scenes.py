@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptiveface.actor import Actor
-from adaptiveface.camera import Camera
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.frame import Features2D, RgbdFrame
-from adaptiveface.mesh import rotation_vector_matrix, surface_points, transform_points
-from adaptiveface.rendering import ray_cast
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points, transform_points
+from adaptiveface.geometry.rendering import ray_cast
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.face_model import embedded_face_model
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 

@@ -5,7 +5,7 @@ import pytest
 from scenes import exact_actor
 from scipy.linalg import subspace_angles
 
-from adaptiveface.mesh import edges, grow
+from adaptiveface.geometry.mesh import edges, grow
 from adaptiveface.parameters import AdaptivePcaParameters
 from adaptiveface.tracking.adaptive_pca import (
     AdaptiveModel,

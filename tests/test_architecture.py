@@ -1,4 +1,4 @@
-"""The packages stand on floors and import from floors below only; views alone know widgets, polydata pyvista."""
+"""The packages stand on floors and import from floors below only; views alone know widgets, geometry pyvista."""
 
 from __future__ import annotations
 
@@ -11,19 +11,13 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
 #: From the ground up, as docs/architecture.md has them.
 FLOORS = (
-    (
-        *("errors", "renamed", "files", "npz", "caches", "blas", "interrupt"),
-        *("stages", "parameters"),
-        "timing",
-        *("camera", "frame", "mesh", "polydata", "rendering", "painting", "appearance", "skin", "feature_set"),
-        *("lab", "livelink"),
-    ),
-    ("face_model", "actor", "blendshapes", "insides", "gaze"),
+    ("errors", "renamed", "files", "caches", "runtime", "parameters", "geometry", "lab", "livelink"),
+    ("model", "insides"),
     ("synthetic", "sensors", "landmarks"),
     ("registration",),
     ("tracking",),
     ("neutral", "importers", "exercises"),
-    ("rows", "result_access", "result"),
+    ("result",),
     ("pipeline",),
     ("retargeting",),
     ("evaluation", "export", "live"),
@@ -35,20 +29,7 @@ FLOORS = (
 )
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 #: What tracking may take: arrays go in and come out.
-TRACKING = {
-    "actor",
-    "appearance",
-    "camera",
-    "frame",
-    "mesh",
-    "parameters",
-    "errors",
-    "renamed",
-    "blas",
-    "caches",
-    "registration",
-    "skin",
-}
+TRACKING = {"model", "geometry", "parameters", "errors", "renamed", "runtime", "caches", "registration"}
 
 
 def place(path: Path) -> str:
@@ -95,8 +76,8 @@ def test_tracking_knows_no_sensor_file_or_view():
     assert known <= TRACKING
 
 
-def test_only_the_views_know_widgets_and_only_polydata_pyvista():
-    owners = {"ipywidgets": "views", "anywidget": "views", "pyvista": "polydata", "vtk": "polydata"}
+def test_only_the_views_know_widgets_and_only_geometry_pyvista():
+    owners = {"ipywidgets": "views", "anywidget": "views", "pyvista": "geometry", "vtk": "geometry"}
     for path in files():
         roots = {name.split(".")[0] for name in imported(path)}
         wrong = {name for name in roots & set(owners) if owners[name] != place(path)}

@@ -9,11 +9,11 @@ import pytest
 from export_scene import tracked_result
 
 from adaptiveface import cli
-from adaptiveface.blendshapes import deformation_transfer
 from adaptiveface.errors import ParameterError
-from adaptiveface.face_model import embedded_face_model
+from adaptiveface.geometry.mesh import transform_points
 from adaptiveface.livelink import ARKIT_NAMES, read_take
-from adaptiveface.mesh import transform_points
+from adaptiveface.model.blendshapes import deformation_transfer
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.parameters import Parameters
 from adaptiveface.retargeting.arkit_resolve import ArkitResolve, has_units, unit_names
 from adaptiveface.retargeting.retarget import retarget

@@ -13,9 +13,9 @@ from recordings import SMALL, edit_intrinsics, mutated, talking_head
 from scenes import exact_actor
 from test_cli import fails, run
 
-from adaptiveface.actor import Actor
 from adaptiveface.errors import FileFormatError, TrackingError
-from adaptiveface.frame import RgbdFrame
+from adaptiveface.geometry.frame import RgbdFrame
+from adaptiveface.model.actor import Actor
 from adaptiveface.pipeline import capture_from, track_source
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, RecordingWriter

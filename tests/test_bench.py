@@ -9,8 +9,8 @@ from adaptiveface.bench.paper import PAPER_MS, PAPER_SUM_MS
 from adaptiveface.bench.peers import Comparison
 from adaptiveface.bench.scene import bench_scene
 from adaptiveface.bench.sizes import feature_points, model_of_size
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.mesh import boundary_loops, edges, surface_points, triangle_normals, vertex_normals
+from adaptiveface.geometry.mesh import boundary_loops, edges, surface_points, triangle_normals, vertex_normals
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.synthetic.subdivision import loop_subdivision
 from adaptiveface.tracking.types import STAGE_NAMES
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from adaptiveface.blendshapes import STILL, deformation_gradients, deformation_transfer, gradient_operator
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.mesh import rotation_vector_matrix, vertex_normals
+from adaptiveface.geometry.mesh import rotation_vector_matrix, vertex_normals
+from adaptiveface.model.blendshapes import STILL, deformation_gradients, deformation_transfer, gradient_operator
+from adaptiveface.model.face_model import embedded_face_model
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from adaptiveface.export.animation import character_animation
 from adaptiveface.export.arkit_csv import read_arkit_csv
 from adaptiveface.export.gltf import read_glb_animation, write_glb
 from adaptiveface.export.obj_sequence import write_obj, write_obj_shapes
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.mesh import boundary_edges, surface_points
+from adaptiveface.geometry.mesh import boundary_edges, surface_points
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.retargeting import BUILT_IN
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights, canonical_name
 from adaptiveface.retargeting.character import average_character, load_character

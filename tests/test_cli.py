@@ -14,9 +14,9 @@ from recordings import talking_head, true_mesh
 from scenes import exact_actor
 
 from adaptiveface import __version__, pipeline
-from adaptiveface.actor import Actor
 from adaptiveface.cli import main
-from adaptiveface.frame import FEATURE_IDS
+from adaptiveface.geometry.frame import FEATURE_IDS
+from adaptiveface.model.actor import Actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording

@@ -12,7 +12,7 @@ from export_scene import tracked_result
 from adaptiveface import cli
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
 from adaptiveface.evaluation import GroundTruth, bootstrap_interval, score_other, score_result
-from adaptiveface.face_model import embedded_face_model
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.parameters import Parameters
 
 MODEL = embedded_face_model()

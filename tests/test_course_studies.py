@@ -9,8 +9,8 @@ pytest.importorskip("ipywidgets", reason="the extra 'notebooks' is not installed
 pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
 
 from adaptiveface import views  # noqa: E402
-from adaptiveface.blendshapes import gradient_operator  # noqa: E402
-from adaptiveface.mesh import cotangent_laplacian  # noqa: E402
+from adaptiveface.geometry.mesh import cotangent_laplacian  # noqa: E402
+from adaptiveface.model.blendshapes import gradient_operator  # noqa: E402
 from adaptiveface.views import prior_study, transfer_study  # noqa: E402
 
 

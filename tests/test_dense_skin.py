@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from adaptiveface.actor import Actor
 from adaptiveface.errors import FileFormatError
-from adaptiveface.frame import FEATURE_IDS, FEATURE_REGIONS, RgbdFrame
-from adaptiveface.mesh import surface_points, transform_points, triangle_normals, vertex_normals
+from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS, RgbdFrame
+from adaptiveface.geometry.mesh import surface_points, transform_points, triangle_normals, vertex_normals
+from adaptiveface.model.actor import Actor
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.skin import LIDS, gather_skin
 from adaptiveface.parameters import Parameters

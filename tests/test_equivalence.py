@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from equivalence import performance, units_of
 
-from adaptiveface.camera import Camera
+from adaptiveface.geometry.camera import Camera
 
 
 def test_the_same_frames_give_exactly_the_same_result():

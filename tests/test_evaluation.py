@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from adaptiveface import evaluation as ev
-from adaptiveface.actor import Actor
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.mesh import rotation_vector_matrix, transform_points, vertex_normals
+from adaptiveface.geometry.mesh import rotation_vector_matrix, transform_points, vertex_normals
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import SampleState, TrackedFrame

@@ -9,9 +9,16 @@ from matplotlib.path import Path
 from scipy.sparse.csgraph import connected_components
 
 from adaptiveface.errors import FileFormatError
-from adaptiveface.face_model import embedded_face_model, load_face_model
-from adaptiveface.frame import FEATURE_REGIONS
-from adaptiveface.mesh import boundary_edges, edges, rigid_alignment, surface_points, transform_points, triangle_normals
+from adaptiveface.geometry.frame import FEATURE_REGIONS
+from adaptiveface.geometry.mesh import (
+    boundary_edges,
+    edges,
+    rigid_alignment,
+    surface_points,
+    transform_points,
+    triangle_normals,
+)
+from adaptiveface.model.face_model import embedded_face_model, load_face_model
 
 ASSETS = files("adaptiveface") / "assets"
 ASSET = ASSETS / "face_model.npz"

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.mesh import edges, triangle_normals
+from adaptiveface.geometry.mesh import edges, triangle_normals
+from adaptiveface.model.face_model import embedded_face_model
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synth"))
 from face_model.fields import FieldSmoother  # noqa: E402

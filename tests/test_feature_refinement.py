@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from adaptiveface.actor import Actor
-from adaptiveface.appearance import BLURS
 from adaptiveface.errors import FileFormatError
 from adaptiveface.files import records
-from adaptiveface.frame import FEATURE_IDS, FEATURE_REGIONS, Features2D, RgbdFrame
-from adaptiveface.mesh import surface_points, transform_points
+from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS, Features2D, RgbdFrame
+from adaptiveface.geometry.mesh import surface_points, transform_points
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.appearance import BLURS
 from adaptiveface.neutral.appearance import gather_appearance
 from adaptiveface.neutral.capture import build_actor, capture_actor
 from adaptiveface.parameters import Parameters

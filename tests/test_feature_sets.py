@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptiveface.actor import Actor
-from adaptiveface.camera import Camera
 from adaptiveface.errors import FileFormatError
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.feature_set import paper_features, yaw_of
-from adaptiveface.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from adaptiveface.geometry.mesh import rigid_alignment, transform_points
 from adaptiveface.live.statistics import LiveStatistics
-from adaptiveface.mesh import rigid_alignment, transform_points
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.face_model import embedded_face_model
+from adaptiveface.model.feature_set import paper_features, yaw_of
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.colour import NEAREST, USUAL, capture_colour, scored_coefficients
 from adaptiveface.parameters import Parameters

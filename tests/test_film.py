@@ -11,15 +11,16 @@ import pytest
 from export_scene import tracked_result
 from PIL import Image
 
-from adaptiveface import cli, rendering
+from adaptiveface import cli
 from adaptiveface.export.video import AHEAD, PANEL, side_by_side, tracked_panel, write_film
-from adaptiveface.painting import lit, paint
-from adaptiveface.rendering import picture
+from adaptiveface.geometry import rendering
+from adaptiveface.geometry.painting import lit, paint
+from adaptiveface.geometry.rendering import picture
 from adaptiveface.retargeting.character import load_character
 from adaptiveface.retargeting.portrait import FACING, painted_portrait, portrait
+from adaptiveface.runtime.timing import duration
 from adaptiveface.sensors.recording import Recording, RecordingWriter
 from adaptiveface.synthetic.sensor import SyntheticSensor
-from adaptiveface.timing import duration
 
 
 @pytest.fixture(scope="module")

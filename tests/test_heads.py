@@ -68,8 +68,8 @@ def test_without_webgl_the_same_picture_is_drawn(tmp_path):
     pytest.importorskip("anywidget", reason="the extra 'notebooks' is not installed")
     from web import ask
 
-    from adaptiveface.face_model import embedded_face_model
-    from adaptiveface.mesh import vertex_normals
+    from adaptiveface.geometry.mesh import vertex_normals
+    from adaptiveface.model.face_model import embedded_face_model
     from adaptiveface.views.face_view import FaceView
 
     model = embedded_face_model()

@@ -8,12 +8,12 @@ import pytest
 import trimesh
 
 from adaptiveface.errors import FileFormatError, MissingExtraError, ParameterError
-from adaptiveface.face_model import embedded_face_model, load_face_model, save_face_model
-from adaptiveface.frame import FEATURE_IDS, FEATURE_REGIONS
+from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS
+from adaptiveface.geometry.mesh import boundary_edges, surface_points, triangle_normals, vertex_normals
 from adaptiveface.importers import import_face_model, load_basel, load_flame, load_gnm, load_ict_facekit
 from adaptiveface.importers.assemble import arkit_generic, component_generic, read_feature_vertices
 from adaptiveface.importers.association import associate, features_at
-from adaptiveface.mesh import boundary_edges, surface_points, triangle_normals, vertex_normals
+from adaptiveface.model.face_model import embedded_face_model, load_face_model, save_face_model
 
 h5py = pytest.importorskip("h5py")
 UNITS = ("jawOpen", "mouthSmileLeft", "mouthSmileRight", "browInnerUp", "eyeBlinkLeft", "mouthPucker")

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from adaptiveface.interrupt import CtrlC
+from adaptiveface.runtime.interrupt import CtrlC
 
 
 def press() -> None:

@@ -17,12 +17,12 @@ import pytest
 
 from adaptiveface import pipeline
 from adaptiveface.caches import folders
-from adaptiveface.camera import Camera
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError
-from adaptiveface.frame import FEATURE_IDS, MEDIAPIPE_INDICES, RgbdFrame
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import FEATURE_IDS, MEDIAPIPE_INDICES, RgbdFrame
+from adaptiveface.geometry.mesh import rigid_alignment, transform_points
 from adaptiveface.landmarks import FeatureDetector, face_landmarker_file, model_file
 from adaptiveface.landmarks.detector import TRUST, confidence, feature_pixels, foreground_box
-from adaptiveface.mesh import rigid_alignment, transform_points
 from adaptiveface.pipeline import FrameReader
 from adaptiveface.sensors import Recording
 from adaptiveface.synthetic.sensor import SyntheticSensor

@@ -16,10 +16,10 @@ from live_faults import ScriptedDriver, raw
 from recordings import talking_head
 
 from adaptiveface import lab
-from adaptiveface.actor import Actor
 from adaptiveface.cli import main
 from adaptiveface.errors import RecordingError, SensorDisconnectedError
 from adaptiveface.live import recorder as recorder_module
+from adaptiveface.model.actor import Actor
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, kinds
 from adaptiveface.sensors.live import LiveSensor

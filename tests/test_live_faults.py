@@ -10,8 +10,8 @@ import pytest
 from fault_runs import FAULTS, Outcome, Script, judge, learned, make_stage, run
 from live_faults import STALL, ScriptedDriver, raw
 
-from adaptiveface.blas import one_blas_thread
 from adaptiveface.errors import SensorTimeoutError
+from adaptiveface.runtime.blas import one_blas_thread
 from adaptiveface.sensors.live import LiveSensor
 
 SEEDS = range(4)

@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from adaptiveface.camera import Camera
-from adaptiveface.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points
 from adaptiveface.landmarks import FeatureDetector
 from adaptiveface.landmarks.kept_face import PATIENCE, KeptFace, VideoClock
-from adaptiveface.mesh import rotation_vector_matrix, surface_points
 from adaptiveface.neutral.capture import capture_actor
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.expression import turned_away

@@ -10,10 +10,10 @@ import pytest
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
 
 from adaptiveface.errors import TrackingError
-from adaptiveface.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.mesh import rigid_alignment, transform_points
 from adaptiveface.live.face_quality import expression, head_angles, sharpness
 from adaptiveface.live.guided import MIN_FRAMES, STEPS, GuidedCapture
-from adaptiveface.mesh import rigid_alignment, transform_points
 from adaptiveface.sensors.recording import Recording
 from adaptiveface.synthetic.sensor import SyntheticSensor
 

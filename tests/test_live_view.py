@@ -14,9 +14,9 @@ from live_head import QUICK, ColourDriver, HeadDriver, head_frames, threads_of_o
 from scenes import exact_actor  # noqa: E402
 
 from adaptiveface import views  # noqa: E402
-from adaptiveface.actor import Actor  # noqa: E402
 from adaptiveface.errors import AdaptiveFaceError  # noqa: E402
 from adaptiveface.live.run import FAILED  # noqa: E402
+from adaptiveface.model.actor import Actor  # noqa: E402
 from adaptiveface.sensors.live import LiveSensor  # noqa: E402
 from adaptiveface.sensors.recording import Recording  # noqa: E402
 from adaptiveface.views.live_panes import PLAIN, TO_DEPTH  # noqa: E402

@@ -11,11 +11,11 @@ from adaptiveface import cli
 from adaptiveface.errors import FileFormatError
 from adaptiveface.export.arkit_csv import head_angles, read_arkit_csv, write_arkit_csv
 from adaptiveface.export.gltf import read_glb_animation
+from adaptiveface.geometry.mesh import rotation_vector_matrix
 from adaptiveface.livelink import ARKIT_NAMES, LiveLinkTake, read_take, write_take
 from adaptiveface.livelink.convention import angles, eye_angles, rotations
 from adaptiveface.livelink.take import HEADER
 from adaptiveface.livelink.timecode import timecode
-from adaptiveface.mesh import rotation_vector_matrix
 
 REAL = Path(__file__).resolve().parents[2] / "shared/recordings/people/arkit/range_of_motion.csv"
 real = pytest.mark.skipif(not REAL.is_file(), reason="the real take is not here")

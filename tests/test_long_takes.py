@@ -14,17 +14,16 @@ from export_scene import tracked_result
 from recordings import talking_head
 from test_result import actor, build, tracked_frame  # noqa: F401  (actor is a fixture)
 
-from adaptiveface import npz
 from adaptiveface.cli import main
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError, FrameError, TrackingError
 from adaptiveface.export import animation, components
 from adaptiveface.export.animation import actor_animation
-from adaptiveface.files import blocks, map_member
+from adaptiveface.files import blocks, map_member, npz
 from adaptiveface.parameters import Parameters
 from adaptiveface.pipeline import track_to_file
 from adaptiveface.result import Result, ResultBuilder
+from adaptiveface.result.rows import ROWS, discard, unfinished_folder
 from adaptiveface.retargeting.retarget import head_meshes
-from adaptiveface.rows import ROWS, discard, unfinished_folder
 from adaptiveface.sensors import Recording
 
 
@@ -196,10 +195,10 @@ def test_nothing_is_left_where_no_frame_can_be_used(tmp_path, monkeypatch):
 GROWTH = """
 import resource, sys, numpy as np
 from pathlib import Path
-from adaptiveface.face_model import embedded_face_model
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.result import Result
-from adaptiveface.rows import FileRows
-from adaptiveface import result as module
+from adaptiveface.result.rows import FileRows
+from adaptiveface.result import result as module
 frames, folder = int(sys.argv[1]), Path(sys.argv[2])
 n = 7000
 head = dict(triangles=np.zeros((1, 3), np.int32), frontal=np.ones(n, bool), expression_names=np.array(["a"] * 23),

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scenes import CAMERA, exact_actor, head_pose, render_frame
 
-from adaptiveface.camera import Camera
 from adaptiveface.errors import TrackingError
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.frame import Features2D, RgbdFrame
-from adaptiveface.mesh import rotation_vector_matrix, surface_points, transform_points, vertex_normals
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points, transform_points, vertex_normals
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.deformation_graph import carry_matrix, deformation_graph
 from adaptiveface.neutral.features import calibrated_features, constraints_on, feature_constraints
 from adaptiveface.neutral.fit import ScanSearch, fit_identity

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptiveface.actor import Actor
 from adaptiveface.errors import FrameError, TrackingError
 from adaptiveface.evaluation.metrics import TrueSurface
-from adaptiveface.mesh import rigid_alignment, transform_points, vertex_normals
+from adaptiveface.geometry.mesh import rigid_alignment, transform_points, vertex_normals
+from adaptiveface.model.actor import Actor
 from adaptiveface.neutral.capture import capture_actor, capture_neutral
 from adaptiveface.synthetic.sensor import SyntheticSensor
 

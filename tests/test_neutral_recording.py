@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from adaptiveface.mesh import rigid_alignment, transform_points, vertex_normals
+from adaptiveface.geometry.mesh import rigid_alignment, transform_points, vertex_normals
 from adaptiveface.neutral.capture import capture_neutral
 from adaptiveface.sensors.recording import Recording
 

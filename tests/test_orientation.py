@@ -12,9 +12,9 @@ from recordings import talking_head
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
 from test_webcam import encode
 
-from adaptiveface.camera import Camera
 from adaptiveface.cli import main
-from adaptiveface.frame import FEATURE_IDS, Features2D
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import FEATURE_IDS, Features2D
 from adaptiveface.landmarks import Upright
 from adaptiveface.live.feed import FeatureFeed
 from adaptiveface.pipeline import FrameReader, capture_from, track_source

@@ -14,7 +14,7 @@ from scenes import exact_actor
 from adaptiveface.cli import main
 from adaptiveface.cli.studies import PAPER_FIGURES
 from adaptiveface.errors import ParameterError
-from adaptiveface.mesh import rotation_vector_matrix
+from adaptiveface.geometry.mesh import rotation_vector_matrix
 from adaptiveface.studies import EMOTIONS, FIGURES, PARAMETER_SETS, PaperFigure, Take, paper_figure
 from adaptiveface.studies import figure as figure_module
 from adaptiveface.studies.construction import from_truth
@@ -75,7 +75,7 @@ def test_every_action_unit_of_an_emotion_is_one_of_the_model():
 
 
 def exact_model_names():
-    from adaptiveface.face_model import embedded_face_model
+    from adaptiveface.model.face_model import embedded_face_model
 
     return embedded_face_model().expression_names
 

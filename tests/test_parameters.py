@@ -3,13 +3,14 @@
 import dataclasses
 import importlib
 import json
+import sys
 
 import pytest
 
 import adaptiveface
 from adaptiveface.errors import ParameterError
 from adaptiveface.parameters import FitParameters, Parameters, describe
-from adaptiveface.renamed import OLD_NAMES, OLD_OBJECTS
+from adaptiveface.renamed import OLD_MODULES, OLD_NAMES, OLD_OBJECTS
 
 
 def test_paper_values_are_the_printed_ones():
@@ -143,3 +144,14 @@ def test_old_names_of_classes_work_with_a_warning():
             with pytest.raises(AttributeError, match="no attribute"):
                 getattr(importlib.import_module(module), f"{old}Nobody")
     assert FitParameters().max_correspondence_distance == 20.0
+
+
+@pytest.mark.parametrize("old, new", OLD_MODULES.items())
+def test_modules_that_moved_are_found_by_their_old_names_with_a_warning(old, new, monkeypatch):
+    module = importlib.import_module(new)
+    specification = module.__spec__
+    monkeypatch.delitem(sys.modules, old, raising=False)
+    with pytest.warns(DeprecationWarning, match=f"{old} is now called {new}") as caught:
+        assert importlib.import_module(old) is module
+    assert module.__spec__ is specification and module.__package__ == new.rpartition(".")[0]
+    assert not caught[0].filename.endswith("renamed.py")

@@ -12,12 +12,12 @@ import pytest
 from recordings import edit_intrinsics, talking_head
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
 
-from adaptiveface.actor import Actor
 from adaptiveface.cli import main
 from adaptiveface.errors import TrackingError
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.frame import Features2D
-from adaptiveface.mesh import surface_points
+from adaptiveface.geometry.frame import Features2D
+from adaptiveface.geometry.mesh import surface_points
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.choice import Judged, choose, doubts
 from adaptiveface.neutral.plausible import ImplausibleFaceError, SizeWatch, check_identity, face_size, likely_unit
 from adaptiveface.neutral.take import neutral_of

@@ -15,7 +15,7 @@ pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
 from export_scene import tracked_result  # noqa: E402
 
 from adaptiveface.errors import MissingExtraError, ParameterError  # noqa: E402
-from adaptiveface.face_model import embedded_face_model  # noqa: E402
+from adaptiveface.model.face_model import embedded_face_model  # noqa: E402
 from adaptiveface.neutral.fuse import FusedScan  # noqa: E402
 from adaptiveface.retargeting.character import load_character  # noqa: E402
 
@@ -107,8 +107,8 @@ def test_without_pyvista_the_error_names_the_extra(scene, monkeypatch):
 
 WITHOUT_NETWORK = """
 import asyncio, sys
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.polydata import surface
+from adaptiveface.model.face_model import embedded_face_model
+from adaptiveface.geometry.polydata import surface
 model = embedded_face_model()
 import pyvista as pv
 mesh = surface(model.mean, model.triangles)

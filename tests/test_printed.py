@@ -9,8 +9,8 @@ import pytest
 from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
 from scipy.optimize import lsq_linear
 
-from adaptiveface.frame import Features2D
-from adaptiveface.mesh import cotangent_laplacian, transform_points, vertex_normals
+from adaptiveface.geometry.frame import Features2D
+from adaptiveface.geometry.mesh import cotangent_laplacian, transform_points, vertex_normals
 from adaptiveface.parameters import (
     AdaptivePcaParameters,
     DepthParameters,

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from adaptiveface.actor import Actor
 from adaptiveface.cli import main
-from adaptiveface.frame import FEATURE_IDS, FEATURE_REGIONS
-from adaptiveface.mesh import rotation_vector_matrix, surface_points, transform_points
+from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS
+from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points, transform_points
+from adaptiveface.model.actor import Actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording

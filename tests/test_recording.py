@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 from recordings import edit_intrinsics, mutated, png_header
 
-from adaptiveface.camera import Camera
 from adaptiveface.errors import FileFormatError, FrameError, ParameterError, TrackingError
-from adaptiveface.frame import FEATURE_IDS, Features2D, RgbdFrame
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from adaptiveface.pipeline import capture_from
 from adaptiveface.sensors import FrameSource, Recording, RecordingWriter, open_source
 from adaptiveface.sensors.orientation import mirrored, turned

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptiveface.actor import Actor
 from adaptiveface.errors import FileFormatError
-from adaptiveface.face_model import FaceModel, embedded_face_model, load_face_model, save_face_model
-from adaptiveface.feature_set import FeatureSet
 from adaptiveface.files import records
+from adaptiveface.files.npz import write_npz
 from adaptiveface.files.records import array, arrays, part, read, record
-from adaptiveface.npz import write_npz
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.face_model import FaceModel, embedded_face_model, load_face_model, save_face_model
+from adaptiveface.model.feature_set import FeatureSet
 from adaptiveface.result import Result
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from adaptiveface.camera import Camera
-from adaptiveface.mesh import triangle_normals, vertex_normals
-from adaptiveface.rendering import Light, covering_window, heat_map, picture, ray_cast, shade
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.mesh import triangle_normals, vertex_normals
+from adaptiveface.geometry.rendering import Light, covering_window, heat_map, picture, ray_cast, shade
 from adaptiveface.synthetic.scene import unit_sphere
 
 CAMERA = Camera(64, 48, 80.0, 82.0, 30.7, 24.2)

@@ -14,9 +14,9 @@ from adaptiveface import evaluation as ev
 from adaptiveface.errors import AdaptiveFaceError, FrameError
 from adaptiveface.evaluation.coefficients import INITIAL, PLAIN, RESOLVED, KnownCoefficients
 from adaptiveface.evaluation.run import STAGES
-from adaptiveface.mesh import transform_points
+from adaptiveface.geometry.mesh import transform_points
+from adaptiveface.geometry.rendering import picture
 from adaptiveface.parameters import Parameters
-from adaptiveface.rendering import picture
 from adaptiveface.report import RunRecord, write_report
 from adaptiveface.retargeting.smoothing import COMPARED
 from adaptiveface.tracking.tracker import FaceTracker

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from recordings import mutated
 
-from adaptiveface.actor import Actor
 from adaptiveface.errors import FileFormatError
-from adaptiveface.frame import FEATURE_IDS
+from adaptiveface.geometry.frame import FEATURE_IDS
+from adaptiveface.model.actor import Actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result, ResultBuilder
 from adaptiveface.tracking.types import STAGE_NAMES, SampleState, TrackedFrame

@@ -12,11 +12,11 @@ import pytest
 from export_scene import tracked_result
 from scenes import exact_actor, posed_shape
 
-from adaptiveface.actor import Actor
-from adaptiveface.blendshapes import deformation_transfer
 from adaptiveface.errors import FileFormatError, ParameterError
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.mesh import transform_points
+from adaptiveface.geometry.mesh import transform_points
+from adaptiveface.model.actor import Actor
+from adaptiveface.model.blendshapes import deformation_transfer
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.parameters import BlendshapeParameters, Parameters
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.retargeting.character import Character, load_character

@@ -35,8 +35,8 @@ def mouth(study, index: int) -> float:
     """Opening of the hag's mouth, mm: inner lips in the middle."""
     character = study.characters[0]
     shape = study.shapes(index)[1]
-    from adaptiveface.face_model import embedded_face_model
-    from adaptiveface.mesh import surface_points
+    from adaptiveface.geometry.mesh import surface_points
+    from adaptiveface.model.face_model import embedded_face_model
 
     model = embedded_face_model()
     points = surface_points(shape[: character.skin], model.feature_triangles, model.feature_weights)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from equivalence import performance, units_of
 
-from adaptiveface.camera import Camera
 from adaptiveface.cli import main
 from adaptiveface.errors import DriverMissingError, FileFormatError, SensorError
+from adaptiveface.geometry.camera import Camera
 from adaptiveface.sensors import Recording, list_sensors, open_sensor, open_source
 from adaptiveface.sensors.azure import AzureDriver
 from adaptiveface.sensors.registration import Lens, Registration

@@ -13,7 +13,7 @@ from adaptiveface.sensors.kinds import KINDS, sensor_kinds
 
 MODULE = """
 import numpy as np
-from adaptiveface.camera import Camera
+from adaptiveface.geometry.camera import Camera
 from adaptiveface.sensors.driver import Driver, RawFrame
 
 class Lantern(Driver):

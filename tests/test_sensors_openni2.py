@@ -296,7 +296,7 @@ def test_the_video_mode_nearest_to_640_by_480_with_a_picture():
 
 _LIVE = """
 import os, sys
-from adaptiveface.camera import Camera
+from adaptiveface.geometry.camera import Camera
 from adaptiveface.errors import SensorError
 from adaptiveface.sensors import open_sensor
 from adaptiveface.sensors.openni2 import OpenNI2Driver

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from adaptiveface.camera import Camera
-from adaptiveface.frame import RgbdFrame
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.landmarks import FeatureDetector
 from adaptiveface.landmarks.windows import LARGE, own_window, search_windows
 from adaptiveface.synthetic.sensor import SyntheticSensor

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from adaptiveface.camera import Camera
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError, ParameterError
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.frame import FEATURE_REGIONS
-from adaptiveface.mesh import transform_points, vertex_normals
-from adaptiveface.rendering import ray_cast
+from adaptiveface.geometry.camera import Camera
+from adaptiveface.geometry.frame import FEATURE_REGIONS
+from adaptiveface.geometry.mesh import transform_points, vertex_normals
+from adaptiveface.geometry.rendering import ray_cast
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.sensors.recording import Recording
 from adaptiveface.synthetic import noise
 from adaptiveface.synthetic.performer import Performer

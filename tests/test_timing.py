@@ -11,8 +11,7 @@ from export_scene import tracked_result
 from adaptiveface.cli import main
 from adaptiveface.errors import FileFormatError
 from adaptiveface.export.animation import actor_animation
-from adaptiveface.sensors.tables import read_timestamps
-from adaptiveface.timing import (
+from adaptiveface.runtime.timing import (
     STANDARD_RATES,
     clean_times,
     duration,
@@ -24,6 +23,7 @@ from adaptiveface.timing import (
     standard_rate,
     time_codes,
 )
+from adaptiveface.sensors.tables import read_timestamps
 
 GOOD = np.arange(74) / 30  # 0 to 2.433 s
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
 
-from adaptiveface.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.frame import Features2D, RgbdFrame
 from adaptiveface.parameters import Parameters
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import SampleState

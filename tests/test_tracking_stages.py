@@ -9,7 +9,7 @@ from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, re
 from scipy.optimize import lsq_linear, minimize
 from scipy.sparse.linalg import spsolve
 
-from adaptiveface.mesh import cotangent_laplacian, transform_points, vertex_normals
+from adaptiveface.geometry.mesh import cotangent_laplacian, transform_points, vertex_normals
 from adaptiveface.parameters import BlendshapeParameters, DepthParameters, KalmanParameters, RigidParameters
 from adaptiveface.registration.association import Correspondences, find_correspondences
 from adaptiveface.registration.icp import icp, last

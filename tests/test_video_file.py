@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptiveface.camera import Camera
 from adaptiveface.cli import main
 from adaptiveface.errors import FileFormatError, FrameError, ParameterError
+from adaptiveface.geometry.camera import Camera
 from adaptiveface.sensors import open_source
 from adaptiveface.sensors.video_file import VIDEO_SUFFIXES, VideoFile
 

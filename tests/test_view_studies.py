@@ -14,8 +14,8 @@ from scenes import coefficients, exact_actor, head_pose, posed_shape, render_fra
 
 from adaptiveface import views  # noqa: E402
 from adaptiveface.evaluation import GroundTruth, TruthFrame  # noqa: E402
-from adaptiveface.face_model import embedded_face_model  # noqa: E402
-from adaptiveface.mesh import transform_points  # noqa: E402
+from adaptiveface.geometry.mesh import transform_points  # noqa: E402
+from adaptiveface.model.face_model import embedded_face_model  # noqa: E402
 from adaptiveface.views import fit_study, neutral_study, rigid_study  # noqa: E402
 from adaptiveface.views.session import Session  # noqa: E402
 

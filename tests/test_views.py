@@ -24,9 +24,9 @@ from scenes import coefficients, exact_actor, head_pose, posed_shape, render_fra
 
 from adaptiveface import views  # noqa: E402
 from adaptiveface.errors import AdaptiveFaceError, ParameterError  # noqa: E402
-from adaptiveface.frame import FEATURE_IDS  # noqa: E402
+from adaptiveface.geometry.frame import FEATURE_IDS  # noqa: E402
+from adaptiveface.geometry.mesh import cotangent_laplacian, rotation_vector_matrix, vertex_normals  # noqa: E402
 from adaptiveface.insides import make_insides, placed  # noqa: E402
-from adaptiveface.mesh import cotangent_laplacian, rotation_vector_matrix, vertex_normals  # noqa: E402
 from adaptiveface.parameters import Parameters, describe  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study, saved  # noqa: E402

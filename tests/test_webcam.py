@@ -24,11 +24,11 @@ from adaptiveface.errors import (
     SensorNotFoundError,
 )
 from adaptiveface.evaluation import ErrorCollector
-from adaptiveface.face_model import embedded_face_model
-from adaptiveface.frame import Features2D
+from adaptiveface.geometry.frame import Features2D
+from adaptiveface.geometry.mesh import transform_points
 from adaptiveface.live.feed import FeatureFeed
 from adaptiveface.live.session import LiveSession
-from adaptiveface.mesh import transform_points
+from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.colour import capture_colour_actor
 from adaptiveface.parameters import Parameters

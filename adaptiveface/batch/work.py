@@ -73,8 +73,8 @@ def run_job(folder: str, job: Job) -> dict:
 
 
 def _work(folder: Path, job: Job) -> dict:
-    from ..actor import Actor
     from ..evaluation import ErrorCollector, truth_of
+    from ..model.actor import Actor
     from ..parameters import Parameters
     from ..pipeline import capture_from, track_to_file
     from ..sensors import open_source

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..mesh import edges
+from ..geometry.mesh import edges
 
 #: A collapse may not turn a triangle by more than this cosine, nor give a vertex more neighbours than this.
 MIN_TURN, MAX_NEIGHBOURS = 0.2, 9

@@ -14,10 +14,10 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import TrackingError
 from ..landmarks import FeatureDetector
 from ..live import FeatureFeed, LiveResult, LiveSession
+from ..model.actor import Actor
 from ..neutral.appearance import gather_appearance
 from ..neutral.capture import build_actor
 from ..parameters import RefinementParameters

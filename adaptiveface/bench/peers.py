@@ -18,8 +18,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import lsq_linear
 
-from ..actor import Actor
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.expression import BlendshapeFit, add_rows

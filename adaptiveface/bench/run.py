@@ -11,8 +11,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from ..actor import Actor
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import STAGE_NAMES

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from ..actor import Actor
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
 from ..neutral.capture import build_actor
 from ..synthetic.sensor import SyntheticSensor
 

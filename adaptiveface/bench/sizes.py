@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from ..actor import Actor
-from ..face_model import FaceModel
+from ..model.actor import Actor
+from ..model.face_model import FaceModel
 from ..neutral.capture import build_actor
 from ..synthetic.performer import Performer
 from ..synthetic.subdivision import loop_subdivision

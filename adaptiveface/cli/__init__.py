@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from .. import __version__
 from ..errors import SYSTEM_LIBRARIES_HINT, AdaptiveFaceError
-from ..interrupt import Terminated, end_process, orderly_end
+from ..runtime.interrupt import Terminated, end_process, orderly_end
 from . import offline, sensors, studies, tools
 from .notes import Notes
 from .speech import speak

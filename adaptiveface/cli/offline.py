@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ..export.arguments import add_export_arguments
 from ..files import check_folder, check_output
-from ..interrupt import CtrlC
 from ..retargeting import BUILT_IN
+from ..runtime.interrupt import CtrlC
 from .arguments import add_neutral_frames, add_settings, add_source, opened, parameters, source_name, whole
 
 
@@ -132,10 +132,10 @@ def run_track(args: argparse.Namespace) -> int:
         check_folder(args.report)
         if args.report.is_dir():
             check_output(args.report / "report.html", "html", inputs)
-    from ..actor import Actor
     from ..landmarks.irises import WithIrises
+    from ..model.actor import Actor
     from ..pipeline import TrackingInterrupted, capture_from, track_to_file
-    from ..rows import discard, unfinished_folder
+    from ..result.rows import discard, unfinished_folder
 
     actor = Actor.load(args.actor) if args.actor else None
     source = opened(source_name(args), args.fov)

@@ -46,7 +46,7 @@ def _score(path: Path, text: str, actor_file: Path | None, step: int) -> tuple[d
         row = score_other(path, truth, step=step)
         print(f"{path}: " + ", ".join(f"{name} {value:.3f}" for name, value in row.items()))
         return row, None
-    from ..actor import Actor
+    from ..model.actor import Actor
     from ..result import Result
 
     actor_file = actor_file or path.with_name("actor.npz")

@@ -41,8 +41,8 @@ def add_batch(commands) -> None:
 
 def run_batch(args: argparse.Namespace) -> int:
     """``batch FOLDER_OR_LIST --out DIR``: exit status 1 when a recording failed."""
-    from ..actor import Actor
     from ..batch import Batch, dask_client, expand, find_sources, parse_sweep
+    from ..model.actor import Actor
 
     check_folder(args.out)
     if args.out.is_dir():

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..actor import Actor
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..tracking.expression import BlendshapeFit
 from ..tracking.stages import Stages

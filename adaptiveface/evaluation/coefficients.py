@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..actor import Actor
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..pipeline import track_source
 from ..retargeting.arkit import ARKIT_NAMES, arkit_weights

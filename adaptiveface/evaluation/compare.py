@@ -23,10 +23,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import AdaptiveFaceError, FileFormatError
-from ..face_model import FaceModel, embedded_face_model
-from ..npz import Field, check_indices, load_checked
+from ..files.npz import Field, check_indices, load_checked
+from ..model.actor import Actor
+from ..model.face_model import FaceModel, embedded_face_model
 from ..result import Result
 from .metrics import TrueSurface
 from .run import ErrorCollector, Evaluation

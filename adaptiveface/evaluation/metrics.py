@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ..caches.compiled import compiled
-from ..mesh import rigid_alignment, transform_points
+from ..geometry.mesh import rigid_alignment, transform_points
 
 #: A (frame, vertex) pair is *active* when the true skin has moved this far from the neutral in the head frame, mm.
 ACTIVE_MOTION = 2.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..frame import FEATURE_IDS, FEATURE_REGIONS
-from ..mesh import surface_points
+from ..geometry.frame import FEATURE_IDS, FEATURE_REGIONS
+from ..geometry.mesh import surface_points
 
 #: Order of the regions in tables; a vertex may belong to none, and to no more than one.
 REGIONS = ("lips", "eyes", "brows", "cheeks", "chin")
@@ -49,6 +49,6 @@ def region_masks(
 
 
 def actor_regions(actor) -> dict[str, np.ndarray]:
-    """:func:`region_masks` of an :class:`~adaptiveface.actor.Actor` (or a face model's mean head)."""
+    """:func:`region_masks` of an :class:`~adaptiveface.model.actor.Actor` (or a face model's mean head)."""
     neutral = actor.neutral if isinstance(getattr(actor, "neutral", None), np.ndarray) else actor.mean
     return region_masks(neutral, actor.feature_triangles, actor.feature_weights, actor.frontal)

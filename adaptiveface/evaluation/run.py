@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import AdaptiveFaceError
-from ..mesh import vertex_normals
+from ..geometry.mesh import vertex_normals
+from ..model.actor import Actor
 from ..tracking.types import TrackedFrame
 from . import metrics
 from .regions import actor_regions

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError
-from ..mesh import transform_points
-from ..npz import Field, load_checked
+from ..files.npz import Field, load_checked
+from ..geometry.mesh import transform_points
 from ..renamed import renamed
 
 #: What a frame belongs to: the neutral scan, the first performance of the script, or its repeat.

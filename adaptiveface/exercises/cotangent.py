@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ..mesh import cotangent_laplacian, vertex_areas
+from ..geometry.mesh import cotangent_laplacian, vertex_areas
 from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 

@@ -204,7 +204,7 @@ class Exercise:
     def track(self, function: Callable, images=None, actor=None, parameters=None, frames: int = 16) -> Trial:
         """Track ``frames`` frames with ``function`` and with the package's own, and compare.
 
-        ``images`` (list of :class:`~adaptiveface.frame.RgbdFrame`) of ``actor``: a built-in performance when None.
+        ``images`` (list of :class:`~adaptiveface.geometry.frame.RgbdFrame`) of ``actor``: a built-in performance when None.
         ``parameters``: those of the exercise when None.
         """
         return run_trial(self.stages(function), images, actor, parameters or self.parameters, frames)

@@ -7,7 +7,7 @@ import functools
 import cv2
 import numpy as np
 
-from ..mesh import rigid_alignment, rotation_vector_matrix
+from ..geometry.mesh import rigid_alignment, rotation_vector_matrix
 from ..tracking.rigid import RigidTracker
 from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
@@ -70,7 +70,7 @@ def parse(answer, case: Case) -> tuple[np.ndarray, np.ndarray]:
     if isinstance(answer, np.ndarray) and answer.shape == (6,):
         raise Wrong(
             "six numbers came back: turn the rotation vector into a matrix "
-            "(adaptiveface.mesh.rotation_vector_matrix) and "
+            "(adaptiveface.geometry.mesh.rotation_vector_matrix) and "
             "return (rotation, translation)"
         )
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
@@ -79,7 +79,7 @@ def parse(answer, case: Case) -> tuple[np.ndarray, np.ndarray]:
     if rotation.shape == (3,):
         raise Wrong(
             "the rotation has the wrong shape (3,): this looks like a rotation vector, its matrix is expected "
-            "(adaptiveface.mesh.rotation_vector_matrix)"
+            "(adaptiveface.geometry.mesh.rotation_vector_matrix)"
         )
     return as_array(rotation, (3, 3), "the rotation"), as_array(answer[1], (3,), "the translation")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..blendshapes import deformation_gradients
+from ..model.blendshapes import deformation_gradients
 from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..actor import Actor
-from ..camera import Camera
-from ..face_model import embedded_face_model
-from ..frame import Features2D, RgbdFrame
-from ..mesh import rotation_vector_matrix, surface_points, transform_points
-from ..rendering import ray_cast
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.mesh import rotation_vector_matrix, surface_points, transform_points
+from ..geometry.rendering import ray_cast
+from ..model.actor import Actor
+from ..model.face_model import embedded_face_model
 from ..tracking.stages import Stages
 from ..tracking.tracker import FaceTracker
 

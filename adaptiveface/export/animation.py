@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import FileFormatError
-from ..mesh import transform_points, vertex_normals
+from ..geometry.mesh import transform_points, vertex_normals
+from ..model.actor import Actor
 from ..renamed import renamed
 from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.retarget import Performance, head_blocks, head_meshes
-from ..timing import frame_rate, increasing, time_codes
+from ..runtime.timing import frame_rate, increasing, time_codes
 from .components import Meshes, frame_blocks, principal_targets
 
 #: Metres in a millimetre: what glTF, USD and the streams count in.

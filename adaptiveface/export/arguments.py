@@ -88,7 +88,7 @@ def add_field_of_view(command: argparse.ArgumentParser) -> None:
 
 def degrees(text: str) -> float:
     """The argparse type of a field of view."""
-    from ..camera import FIELD_OF_VIEW_RANGE
+    from ..geometry.camera import FIELD_OF_VIEW_RANGE
 
     try:
         value = float(text)

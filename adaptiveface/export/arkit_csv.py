@@ -11,7 +11,7 @@ from ..livelink.convention import angles, eye_angles, rotations
 from ..livelink.take import HEADER
 from ..livelink.timecode import timecode
 from ..retargeting.retarget import Performance
-from ..timing import increasing
+from ..runtime.timing import increasing
 from .animation import CAMERA_TO_VIEW, view_motion
 
 __all__ = ["HEADER", "eye_angles", "head_angles", "read_arkit_csv", "take_performance", "timecode", "write_arkit_csv"]

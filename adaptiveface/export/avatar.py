@@ -16,7 +16,7 @@ from ..retargeting.gltf_file import GltfFile
 from ..retargeting.gltf_nodes import Nodes
 from ..retargeting.retarget import Performance
 from ..retargeting.units import METRES
-from ..timing import increasing
+from ..runtime.timing import increasing
 from .avatar_motion import avatar_motion, local_rotation
 from .gltf_edit import GltfEdit
 

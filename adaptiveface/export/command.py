@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from ..actor import Actor
 from ..errors import ParameterError
 from ..files import check_output, check_output_folder
 from ..livelink.take import is_take
+from ..model.actor import Actor
 from ..result import Result
 from ..retargeting import COEFFICIENTS, UNITS
 from ..retargeting.arkit import arkit_weights
@@ -23,7 +23,7 @@ from ..retargeting.character import Character, is_gltf, load_character
 from ..retargeting.correctives import carried_correctives
 from ..retargeting.retarget import Performance, coverage, driving_names, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
-from ..timing import clean_times, increasing
+from ..runtime.timing import clean_times, increasing
 from .animation import AnimatedMesh, actor_animation, character_animation, size_text, with_correctives
 from .arguments import FORMATS
 from .inside_parts import actor_insides, with_insides

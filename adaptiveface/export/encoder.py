@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AdaptiveFaceError
-from ..interrupt import CtrlC
+from ..runtime.interrupt import CtrlC
 
 #: Longest that ffmpeg may take to finish a film once it has all pictures, s.
 FINISH_SECONDS = 600.0

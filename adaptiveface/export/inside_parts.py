@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..actor import Actor
 from ..insides import Insides, make_insides
+from ..model.actor import Actor
 from ..result import Result
 from ..retargeting.retarget import head_blocks, head_meshes
 from .animation import AnimatedMesh, in_slider_range

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
-from ..frame import RgbdFrame
-from ..gaze import GazeTrack
+from ..geometry.frame import RgbdFrame
 from ..livelink.convention import eyes_of_gaze, with_look
 from ..livelink.packet import LiveLinkFrame, encode
+from ..model.actor import Actor
+from ..model.gaze import GazeTrack
 from ..parameters import BlendshapeParameters
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.arkit_resolve import ArkitResolve

@@ -14,17 +14,17 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from ..camera import Camera
 from ..errors import AdaptiveFaceError, FrameError
 from ..files import blocks, release, replacing
+from ..geometry.camera import Camera
+from ..geometry.mesh import rotation_vector_matrix, transform_points
+from ..geometry.painting import lit, paint
 from ..insides import Insides
-from ..mesh import rotation_vector_matrix, transform_points
-from ..painting import lit, paint
 from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.portrait import SKIN, painted_portrait
+from ..runtime.timing import film_frames, gif_frames
 from ..sensors.capture_device import quiet
-from ..timing import film_frames, gif_frames
 from .animation import CAMERA_TO_VIEW, AnimatedMesh
 from .encoder import encode_h264, ffmpeg_program
 

@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..errors import FileFormatError
-from ..npz import MAX_BYTES, Field, check_indices, load_checked
+from .npz import MAX_BYTES, Field, check_indices, load_checked
 
 _KEY = "array"
 #: How the docs call a type, and the kinds of arrays that are accepted for it: whole numbers of any size and sign.
@@ -71,7 +71,7 @@ class Array:
 
     @property
     def field(self) -> Field:
-        """What :func:`adaptiveface.npz.load_checked` checks."""
+        """What :func:`adaptiveface.files.npz.load_checked` checks."""
         return Field(self.shape, _TYPES[self.dtype][1], self.optional)
 
     @property
@@ -143,7 +143,7 @@ def stored(cls: type) -> list[Array]:
 
 
 def checks(cls: type) -> dict[str, Field]:
-    """Name in the file -> what :func:`adaptiveface.npz.load_checked` checks."""
+    """Name in the file -> what :func:`adaptiveface.files.npz.load_checked` checks."""
     return {entry.name: entry.field for entry in stored(cls)}
 
 
@@ -159,7 +159,7 @@ def read(
     path : path-like
         An npz file.
     max_bytes, mapped
-        As of :func:`adaptiveface.npz.load_checked`.
+        As of :func:`adaptiveface.files.npz.load_checked`.
     double : bool
         Floating-point arrays as float64, for computing.
 

@@ -11,9 +11,9 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import FileFormatError, TrackingError, abbreviated
-from ..face_model import FaceModel, embedded_face_model
 from ..files import read_text
-from ..frame import FEATURE_IDS
+from ..geometry.frame import FEATURE_IDS
+from ..model.face_model import FaceModel, embedded_face_model
 from .association import associate
 
 MAX_VERTICES, MAX_TRIANGLES, MAX_BYTES = 200_000, 400_000, 2 << 30

@@ -13,8 +13,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from ..errors import TrackingError
-from ..face_model import FaceModel, embedded_face_model
-from ..mesh import boundary_edges, surface_points, transform_points, triangle_normals, vertex_normals
+from ..geometry.mesh import boundary_edges, surface_points, transform_points, triangle_normals, vertex_normals
+from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.fit import fit_identity
 from ..neutral.fuse import FusedScan
 from ..neutral.shrink_wrap import shrink_wrap

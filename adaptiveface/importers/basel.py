@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError, MissingExtraError
-from ..face_model import FaceModel
 from ..files import open_regular
 from ..files.archive import FREE_BYTES, MOST_PER_BYTE
+from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 
 

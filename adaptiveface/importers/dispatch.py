@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 from ..errors import FileFormatError, ParameterError
-from ..face_model import FaceModel, load_face_model
 from ..files import Archive, open_regular
+from ..model.face_model import FaceModel, load_face_model
 from .assemble import MAX_BYTES
 from .basel import load_basel
 from .flame import load_flame, refuse_pickle

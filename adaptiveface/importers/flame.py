@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError
-from ..face_model import FaceModel
 from ..files import open_regular
-from ..mesh import rotation_vector_matrix
-from ..npz import Field, check_indices, load_checked
+from ..files.npz import Field, check_indices, load_checked
+from ..geometry.mesh import rotation_vector_matrix
+from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 
 MM_PER_UNIT = 1000.0

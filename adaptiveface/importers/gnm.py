@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..face_model import FaceModel
-from ..npz import Field, check_indices, load_checked
+from ..files.npz import Field, check_indices, load_checked
+from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 
 MM_PER_UNIT = 1000.0

@@ -13,8 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from ..errors import FileFormatError
-from ..face_model import FaceModel
 from ..files import is_own
+from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 from .obj import obj_triangles, obj_vertices, read_lines
 

@@ -7,9 +7,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..face_model import FaceModel, embedded_face_model
-from ..frame import FEATURE_IDS
-from ..mesh import boundary_loops, rotation_vector_matrix, surface_points
+from ..geometry.frame import FEATURE_IDS
+from ..geometry.mesh import boundary_loops, rotation_vector_matrix, surface_points
+from ..model.face_model import FaceModel, embedded_face_model
 from .parts import CAVITY, CORNEA, eyeball_mesh, rim_height, smooth_ring, strip, teeth_mesh, tongue_mesh
 
 IRIS = (92, 116, 128)

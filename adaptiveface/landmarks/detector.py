@@ -27,8 +27,8 @@ from importlib.resources import as_file, files
 import numpy as np
 
 from ..errors import SYSTEM_LIBRARIES_HINT, FeatureDetectionError, MissingExtraError
-from ..frame import MEDIAPIPE_INDICES, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
-from ..mesh import vertex_normals
+from ..geometry.frame import MEDIAPIPE_INDICES, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from ..geometry.mesh import vertex_normals
 from .kept_face import KeptFace, VideoClock
 from .model_file import ENVIRONMENT, face_landmarker_file
 from .windows import Window, own_window, search_windows
@@ -72,7 +72,7 @@ def _close(landmarker) -> None:
 
 
 class FeatureDetector:
-    """Finds the 40 features of :data:`adaptiveface.frame.FEATURE_IDS` in colour images, of one face that it keeps.
+    """Finds the 40 features of :data:`adaptiveface.geometry.frame.FEATURE_IDS` in colour images, of one face that it keeps.
 
     ``video``: MediaPipe's video mode, for a live stream; otherwise single images. ``model_path`` names the model file,
     by default the one of :func:`face_landmarker_file`. Raises :class:`MissingExtraError` without mediapipe,

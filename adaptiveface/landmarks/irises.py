@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ..frame import FEATURE_IDS, Features2D, RgbdFrame
+from ..geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from .detector import FeatureDetector
 
 #: Rows of the eyes' corners among the features, the subject's left eye first.

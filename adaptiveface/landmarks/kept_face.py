@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 
 #: Another face is taken only after the kept one has been away this long, s.
 PATIENCE = 0.3

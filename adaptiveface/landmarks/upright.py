@@ -12,7 +12,7 @@ from collections import Counter
 
 import numpy as np
 
-from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
+from ..geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..sensors.orientation import AnyFrame, turned
 
 #: Ways in which a picture is shown, in quarters of a turn anticlockwise: the first two agree where it is upright.

@@ -9,15 +9,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from ..actor import Actor
 from ..errors import ParameterError, TrackingError
 from ..files import check_distinct, check_new_folder, check_output
-from ..gaze import GazeTrack
-from ..interrupt import CtrlC, Terminated
 from ..livelink.receiver import is_livelink
+from ..model.actor import Actor
+from ..model.gaze import GazeTrack
 from ..parameters import Parameters
 from ..result import ResultBuilder
-from ..rows import discard, unfinished_folder
+from ..result.rows import discard, unfinished_folder
+from ..runtime.interrupt import CtrlC, Terminated
 from ..sensors.catalogue import list_sensors, open_sensor
 from ..sensors.live import LiveSensor
 from ..sensors.orientation import MIRRORED, split_mirrored

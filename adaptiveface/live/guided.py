@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import TrackingError
-from ..face_model import FaceModel, embedded_face_model
-from ..frame import RgbdFrame
-from ..mesh import surface_points, transform_points, vertex_normals
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import surface_points, transform_points, vertex_normals
+from ..model.actor import Actor
+from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.capture import capture_actor
 from ..neutral.face_quality import Expression, expression, eye_distance, head_angles, seen_by_depth, sharpness
 from ..neutral.fuse import Progress

@@ -13,11 +13,11 @@ from ..errors import AdaptiveFaceError, ParameterError, SensorError
 from ..export.destinations import destinations
 from ..export.messages import FaceState
 from ..files import check_output, replacing
-from ..interrupt import CtrlC
 from ..livelink.convention import ARKIT_NAMES, rotations
 from ..livelink.packet import LiveLinkFrame
 from ..livelink.receiver import LOOPBACK, LiveLinkReceiver, parse_address
 from ..livelink.take import header_line, row_line
+from ..runtime.interrupt import CtrlC
 from .status import StatusLine
 
 #: Options of ``live`` that need pictures, with the value when nobody asked for them.

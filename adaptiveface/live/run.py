@@ -7,8 +7,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from os import PathLike
 
-from ..actor import Actor
 from ..errors import AdaptiveFaceError, TrackingError
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..sensors.catalogue import open_sensor
 from ..sensors.live import LiveFrame, LiveSensor

@@ -8,11 +8,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from ..actor import Actor
-from ..blas import one_blas_thread
 from ..errors import EndOfRecording, SensorError, SensorTimeoutError, TrackingError
+from ..model.actor import Actor
 from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
+from ..runtime.blas import one_blas_thread
 from ..sensors.live import LiveFrame
 from ..sensors.worker import POLL_SECONDS
 from .feed import FeatureFeed

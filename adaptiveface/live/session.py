@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from ..actor import Actor
-from ..blas import one_blas_thread
 from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError, TrackingError
+from ..model.actor import Actor
 from ..parameters import Parameters
+from ..runtime.blas import one_blas_thread
 from ..sensors.live import LiveFrame
 from ..sensors.worker import POLL_SECONDS, Latest, Worker, failure, packaged
 from ..tracking.adaptive_pca import AdaptiveModel

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
-from ..actor import Actor
-from ..appearance import BLURS, Appearance, channels
-from ..frame import RgbdFrame
-from ..mesh import surface_points, transform_points, vertex_normals
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import surface_points, transform_points, vertex_normals
+from ..model.actor import Actor
+from ..model.appearance import BLURS, Appearance, channels
 from ..parameters import RefinementParameters
 from .features import surface_patch
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
-from ..face_model import FaceModel
-from ..feature_set import FeatureSet
-from ..mesh import surface_points, transform_points
+from ..geometry.camera import Camera
+from ..geometry.mesh import surface_points, transform_points
+from ..model.face_model import FaceModel
+from ..model.feature_set import FeatureSet
 from ..registration.step import apply_rigid_update
 from ..tracking.bounded import bounded_least_squares
 from ..tracking.expression import CROSS

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..actor import Actor
-from ..blendshapes import deformation_transfer
 from ..errors import TrackingError
-from ..face_model import FaceModel, embedded_face_model
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
+from ..model.blendshapes import deformation_transfer
+from ..model.face_model import FaceModel, embedded_face_model
 from ..parameters import Parameters
 from .appearance import gather_appearance
 from .features import FeatureConstraints, calibrated_features, calibrated_landmarks, constraints_on

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..frame import RgbdFrame
-from ..mesh import transform_points
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points
 from ..tracking.detection import pose_from_features
 from .face_quality import expression
 

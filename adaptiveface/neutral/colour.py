@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import TrackingError
-from ..face_model import FaceModel, embedded_face_model
-from ..feature_set import FeatureSet
-from ..frame import SCORE_NAMES, DetectedFace, RgbdFrame
-from ..mesh import surface_points, transform_points
+from ..geometry.frame import SCORE_NAMES, DetectedFace, RgbdFrame
+from ..geometry.mesh import surface_points, transform_points
+from ..model.actor import Actor
+from ..model.face_model import FaceModel, embedded_face_model
+from ..model.feature_set import FeatureSet
 from ..parameters import Parameters
 from ..registration.step import apply_rigid_update
 from ..tracking.bounded import bounded_least_squares

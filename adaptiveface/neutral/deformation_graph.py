@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
 
-from ..mesh import edges
+from ..geometry.mesh import edges
 
 _NEIGHBOURS = 4  # nodes that carry a vertex
 

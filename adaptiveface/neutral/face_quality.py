@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..camera import Camera
-from ..frame import FEATURE_IDS, Features2D, RgbdFrame
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 
 #: A lip gap this much wider than the neutral one, in eye distances: the mouth is open.
 MOUTH_OPEN = 0.06

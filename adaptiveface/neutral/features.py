@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..face_model import FaceModel
-from ..feature_set import FeatureSet
-from ..frame import Features2D
-from ..mesh import surface_points, vertex_normals
+from ..geometry.frame import Features2D
+from ..geometry.mesh import surface_points, vertex_normals
+from ..model.face_model import FaceModel
+from ..model.feature_set import FeatureSet
 from .fuse import FusedScan
 
 

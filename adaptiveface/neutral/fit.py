@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import TrackingError
-from ..face_model import FaceModel
-from ..mesh import rotation_vector_matrix, surface_points, transform_points, vertex_areas, vertex_normals
+from ..geometry.mesh import rotation_vector_matrix, surface_points, transform_points, vertex_areas, vertex_normals
+from ..model.face_model import FaceModel
 from ..parameters import FitParameters
 from .features import FeatureConstraints, constraints_on
 from .fuse import FusedScan

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import FrameError, TrackingError
-from ..face_model import FaceModel
-from ..frame import Features2D, RgbdFrame
-from ..mesh import surface_points, transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.mesh import surface_points, transform_points
+from ..geometry.polydata import cloud
+from ..model.face_model import FaceModel
 from ..parameters import FusionParameters
-from ..polydata import cloud
 from .plausible import check_features
 from .registration import DepthView, Registration, align, depth_view, evaluate, feature_pose
 from .volume import TsdfVolume
 
 if TYPE_CHECKING:
-    from ..polydata import PolyData
+    from ..geometry.polydata import PolyData
 
 DEFAULTS = FusionParameters()
 _MIN_POINTS = 1000

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import TrackingError
-from ..face_model import FaceModel
-from ..frame import RgbdFrame
-from ..mesh import surface_points
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import surface_points
+from ..model.actor import Actor
+from ..model.face_model import FaceModel
 from ..sensors.numbered import Abilities
 from ..tracking.detection import measured_size
 

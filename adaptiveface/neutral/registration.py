@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..camera import Camera
-from ..frame import Features2D, RgbdFrame
-from ..mesh import rotation_vector_matrix, transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.mesh import rotation_vector_matrix, transform_points
 from ..parameters import FusionParameters
 from ..registration.icp import icp, last
 from ..registration.step import motion_of, rigid_jacobian

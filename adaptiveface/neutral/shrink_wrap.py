@@ -14,8 +14,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import cKDTree
 
-from ..face_model import FaceModel
-from ..mesh import adjacency, cotangent_laplacian, vertex_areas, vertex_normals
+from ..geometry.mesh import adjacency, cotangent_laplacian, vertex_areas, vertex_normals
+from ..model.face_model import FaceModel
 from ..parameters import ShrinkWrapParameters
 from .deformation_graph import (
     DeformationGraph,

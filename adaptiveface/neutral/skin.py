@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
-from ..actor import Actor
-from ..appearance import channels
-from ..frame import FEATURE_REGIONS, RgbdFrame
-from ..mesh import surface_points, transform_points, triangle_normals, vertex_normals
+from ..geometry.frame import FEATURE_REGIONS, RgbdFrame
+from ..geometry.mesh import surface_points, transform_points, triangle_normals, vertex_normals
+from ..model.actor import Actor
+from ..model.appearance import channels
+from ..model.skin import MOST, Skin
 from ..parameters import SkinParameters
-from ..skin import MOST, Skin
 from .appearance import MIN_COSINE, SEEN, inner_grid
 
 #: mm around the features of the eyes in which no sample lies: lids slide over eyeballs, whose colour is not the neutral's.

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..frame import Features2D, RgbdFrame
+from ..geometry.frame import Features2D, RgbdFrame
 from .choice import LOOK, Judged, choose, costs, doubts, judge, leading_is_calm
 
 #: A face counts as found in a frame from this many valid features on.

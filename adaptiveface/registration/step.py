@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..caches.compiled import compiled
-from ..mesh import rotation_vector_matrix
+from ..geometry.mesh import rotation_vector_matrix
 from .association import Correspondences
 
 #: A rotation moves the face by about this much per radian, mm.

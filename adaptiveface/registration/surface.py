@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ..caches.compiled import compiled
-from ..camera import Camera
+from ..geometry.camera import Camera
 from ..parameters import DepthParameters
 
 

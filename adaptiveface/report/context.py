@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import FrameError
 from ..evaluation import PERFORMANCE_NAMES, Evaluation, GroundTruth
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
 from .record import RunRecord
 
 #: Stretches of the source to mark on time axes: (first second, last second, name).

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
+from ..geometry.mesh import transform_points
+from ..geometry.rendering import covering_window, heat_map, ray_cast, shade
 from ..insides import Insides, make_insides
-from ..mesh import transform_points
-from ..rendering import covering_window, heat_map, ray_cast, shade
 
 SKIN = (205, 170, 150)
 _WIRE = np.array([86, 220, 233], float)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import AdaptiveFaceError
 from ..parameters import Parameters
-from ..timing import clean_times
+from ..runtime.timing import clean_times
 from ..tracking.held_out import warn
 from ..tracking.types import STAGE_NAMES
 from ..tracking.verdict import verdict

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..evaluation.coefficients import INITIAL, PLAIN, RESOLVED, KnownCoefficients
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character
 from ..retargeting.correctives import transferred_correctives
 from ..retargeting.portrait import portrait
 from ..retargeting.smoothing import smoothing_costs
-from ..timing import frame_rate
+from ..runtime.timing import frame_rate
 from . import charts, page, pictures
 from .context import Context
 

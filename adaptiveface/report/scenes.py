@@ -7,9 +7,9 @@ import re
 import numpy as np
 
 from ..evaluation import motion_error, neutral_alignment
-from ..frame import RgbdFrame
-from ..mesh import transform_points
-from ..rendering import heat_map
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points
+from ..geometry.rendering import heat_map
 from . import page, pictures
 from .context import Context
 

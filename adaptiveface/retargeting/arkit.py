@@ -17,8 +17,8 @@ from functools import lru_cache
 import numpy as np
 
 from ..errors import AdaptiveFaceError
-from ..face_model import FaceModel, embedded_face_model
 from ..livelink import ARKIT_NAMES
+from ..model.face_model import FaceModel, embedded_face_model
 from ..tracking.bounded import bounded_least_squares
 
 _NUMBER = {name: number for number, name in enumerate(ARKIT_NAMES)}

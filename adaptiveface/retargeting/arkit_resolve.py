@@ -14,11 +14,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..actor import Actor
-from ..blendshapes import deformation_transfer
 from ..errors import ParameterError
-from ..face_model import embedded_face_model
 from ..livelink import ARKIT_NAMES
+from ..model.actor import Actor
+from ..model.blendshapes import deformation_transfer
+from ..model.face_model import embedded_face_model
 from ..parameters import BlendshapeParameters
 from ..tracking.resolve import SparseResolve
 

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FileFormatError, ParameterError
-from ..face_model import FaceModel, embedded_face_model
-from ..npz import Field, check_indices, load_checked, write_npz
-from ..polydata import expression_weights, surface
+from ..files.npz import Field, check_indices, load_checked, write_npz
+from ..geometry.polydata import expression_weights, surface
+from ..model.face_model import FaceModel, embedded_face_model
 from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
 from .shape_names import driven_shapes
 
 if TYPE_CHECKING:
-    from ..polydata import PolyData
+    from ..geometry.polydata import PolyData
 
 #: Displacements in character files are whole numbers of this many millimetres.
 STEP_MM = 0.04

@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..actor import Actor
-from ..blendshapes import deformation_transfer
 from ..errors import ParameterError
+from ..model.actor import Actor
+from ..model.blendshapes import deformation_transfer
 from ..result import Result
 from .character import Character
 from .retarget import driving_coefficients, head_meshes

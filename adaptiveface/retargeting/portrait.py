@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
-from ..mesh import rotation_vector_matrix
-from ..painting import lit, paint
-from ..rendering import Light, picture
+from ..geometry.camera import Camera
+from ..geometry.mesh import rotation_vector_matrix
+from ..geometry.painting import lit, paint
+from ..geometry.rendering import Light, picture
 from .character import Character
 
 #: Facing the camera: head frame (y up, z out of the face) to camera frame (y down, z forward).

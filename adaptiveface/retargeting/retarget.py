@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..actor import Actor
 from ..errors import ParameterError
 from ..files import release
+from ..geometry.mesh import transform_points
 from ..livelink.convention import eyes_of_gaze, with_look
-from ..mesh import transform_points
+from ..model.actor import Actor
 from ..renamed import renamed
 from ..result import Result
-from ..result_access import time_table
-from ..timing import frame_rate, increasing
+from ..result.access import time_table
+from ..runtime.timing import frame_rate, increasing
 from ..tracking.resolve import SparseResolve
 from . import COEFFICIENTS
 from .arkit import ARKIT_NAMES, ArkitWeights, arkit_weights

@@ -12,8 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..camera import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, Camera
 from ..errors import FileFormatError
+from ..geometry.camera import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, Camera
 from .intrinsics import read_intrinsics
 
 __all__ = ["FIELD_OF_VIEW", "FIELD_OF_VIEW_RANGE", "as_rgb", "calibration_for", "camera_of_view", "quiet"]

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
-from ..frame import Features2D, RgbdFrame
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D, RgbdFrame
 
 
 @dataclass(frozen=True)

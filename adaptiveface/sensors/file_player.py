@@ -21,8 +21,8 @@ from typing import BinaryIO
 import numpy as np
 
 from .. import errors
-from ..camera import Camera
 from ..errors import AdaptiveFaceError, SensorError
+from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 from .matroska import is_plain_video
 from .worker import POLL_SECONDS

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..camera import Camera
 from ..errors import FileFormatError, FrameError
 from ..files import open_regular, replacing
+from ..geometry.camera import Camera
 
 #: Largest image file that is read; one of the most pixels, uncompressed, has 96 MiB.
 _MAX_FILE_BYTES = 128 << 20

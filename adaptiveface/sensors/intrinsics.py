@@ -7,9 +7,9 @@ import logging
 import math
 from pathlib import Path
 
-from ..camera import Camera
 from ..errors import FileFormatError, abbreviated
 from ..files import read_json
+from ..geometry.camera import Camera
 
 #: Units per metre that a 16-bit depth image of a face can have: centimetre steps up to a range of 0.65 m.
 DEPTH_SCALE_RANGE = (100.0, 100_000.0)

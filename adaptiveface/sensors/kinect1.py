@@ -15,8 +15,8 @@ from ctypes import POINTER, byref, c_int, c_int8, c_int16, c_int32, c_long, c_ui
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import DriverMissingError, ParameterError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 from .pairing import Pairing
 

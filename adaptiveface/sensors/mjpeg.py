@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from ..camera import MAX_PIXELS
 from ..errors import SensorError
 from ..files.bounded import size
+from ..geometry.camera import MAX_PIXELS
 
 #: Most bytes of one picture; a JPEG of 8K at best quality has half of it.
 MAX_PICTURE_BYTES = 16 << 20

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..errors import FrameError
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 
 
 @dataclass(frozen=True)

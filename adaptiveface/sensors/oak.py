@@ -10,8 +10,8 @@ from datetime import timedelta
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 
 WIDTH, HEIGHT, FPS = 640, 400, 30

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import (
     EndOfRecording,
     FileFormatError,
@@ -22,6 +21,7 @@ from ..errors import (
     SensorError,
     SensorNotFoundError,
 )
+from ..geometry.camera import Camera
 from . import openni2_library as oni
 from .driver import Driver, RawFrame
 from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..camera import Camera
-from ..frame import FEATURE_IDS, Features2D, RgbdFrame
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from .numbered import Abilities, NumberedFrames
 
 AnyFrame = TypeVar("AnyFrame", bound=RgbdFrame)

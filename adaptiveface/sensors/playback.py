@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from ..errors import EndOfRecording, FrameError, ParameterError
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 from ..synthetic.noise import DEPTH_SCALES
 from .driver import Driver, RawFrame
 from .numbered import Abilities

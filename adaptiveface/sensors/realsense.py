@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import (
     DriverMissingError,
     EndOfRecording,
@@ -20,6 +19,7 @@ from ..errors import (
     SensorError,
     SensorNotFoundError,
 )
+from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 
 #: Size and rate that every D400 camera has for both streams.

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..errors import AdaptiveFaceError, EndOfRecording, FileFormatError, RecordingError, SensorError
 from ..files import check_new_folder, reason
-from ..interrupt import CtrlC
+from ..runtime.interrupt import CtrlC
 from .live import LiveFrame, LiveSensor
 from .recording import RecordingWriter
 

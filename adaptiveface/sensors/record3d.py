@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..camera import MAX_PIXELS, Camera
 from ..errors import FileFormatError, FrameError
 from ..files import Archive, parse_json
-from ..frame import RgbdFrame
-from ..timing import FrameTimes, frame_times
+from ..geometry.camera import MAX_PIXELS, Camera
+from ..geometry.frame import RgbdFrame
+from ..runtime.timing import FrameTimes, frame_times
 from .intrinsics import camera_of, focal_and_centre, rate_of
 from .lzfse_stream import decompress, lzfse_module
 from .numbered import NumberedFrames

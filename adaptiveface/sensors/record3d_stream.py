@@ -13,8 +13,8 @@ import time
 import numpy as np
 from PIL import Image
 
-from ..camera import Camera
 from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 from .record3d import scaled_camera
 

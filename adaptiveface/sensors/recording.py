@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import FileFormatError, FrameError
 from ..files import GrowingTable, replacing
-from ..frame import RgbdFrame
+from ..geometry.camera import Camera
+from ..geometry.frame import RgbdFrame
 from .images import read_colour, read_depth, write_image
 from .intrinsics import check_rate_and_scale, intrinsics_json, read_intrinsics
 from .numbered import NumberedFrames

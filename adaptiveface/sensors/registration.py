@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 
 #: Depth that differs by more than this within 3 x 3 pixels is not one surface, mm.
 EDGE_MM = 10.0

@@ -6,9 +6,9 @@ import shlex
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from ..camera import Camera
 from ..errors import FileFormatError, ParameterError
-from ..frame import RgbdFrame
+from ..geometry.camera import Camera
+from ..geometry.frame import RgbdFrame
 from .file_player import plays
 from .orientation import OrientedSource, split_mirrored
 from .playback import NOISES

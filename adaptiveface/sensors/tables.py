@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import FileFormatError, abbreviated
 from ..files import decoded, read_bytes
-from ..frame import FEATURE_IDS, Features2D
-from ..timing import FrameTimes, frame_times
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_IDS, Features2D
+from ..runtime.timing import FrameTimes, frame_times
 from .intrinsics import camera_of
 
 TIMESTAMP_COLUMNS = ("frame", "timestamp")
 CAMERA_COLUMNS = ("frame", "fx", "fy", "cx", "cy")
 FEATURE_COLUMNS = ("frame", "feature", "u", "v", "confidence")
 IRIS_COLUMNS = ("frame", "eye", "u", "v")
-#: The subject's eyes, in the order of :attr:`~adaptiveface.frame.Features2D.iris_centres`.
+#: The subject's eyes, in the order of :attr:`~adaptiveface.geometry.frame.Features2D.iris_centres`.
 EYES = ("left", "right")
 #: A table may name so many frames, whatever the number of images: what is left when a take is cut.
 _FREE_FRAMES, _MOST_PER_FRAME = 20_000, 4
@@ -32,7 +32,7 @@ _SLOT = {int(feature): slot for slot, feature in enumerate(FEATURE_IDS)}
 
 
 def read_timestamps(path: Path, frames: range, fps: float) -> FrameTimes:
-    """Seconds of ``frames`` as :func:`adaptiveface.timing.frame_times` judges them; without the file the frame rate's.
+    """Seconds of ``frames`` as :func:`adaptiveface.runtime.timing.frame_times` judges them; without the file the frame rate's.
 
     Raises :class:`FileFormatError` for a table that is malformed, or whose times fit ``fps`` in no unit.
     """

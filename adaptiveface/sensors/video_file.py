@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError, FrameError
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 from .capture_device import calibration_for
 from .matroska import is_plain_video
 from .video_probe import MAX_BYTES, too_large

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import MAX_PIXELS
 from ..errors import FileFormatError, MissingExtraError
-from ..timing import DEFAULT_RATE, frame_rate, standard_rate
+from ..geometry.camera import MAX_PIXELS
+from ..runtime.timing import DEFAULT_RATE, frame_rate, standard_rate
 
 #: The last frames are decoded to find where a file ends, unless they are more than this and nothing is missing.
 MAX_TAIL = 600

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..actor import Actor
 from ..evaluation.metrics import neutral_alignment, surface_distance
-from ..face_model import FaceModel, embedded_face_model
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
+from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.capture import NeutralCapture, capture_neutral
 from ..synthetic.sensor import SyntheticSensor
 from .drawing import SIZE, Faces, add_scale, grid, scan_picture

@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from ..actor import Actor
+from ..model.actor import Actor
 from ..report.pictures import SKIN, Portraits, on_backdrop
 
 BACKDROP = (235, 236, 238)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from ..evaluation.run import ErrorCollector
 from ..evaluation.truth import REPEAT
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
 from .drawing import Faces, add_scale, grid
 from .performances import EMOTIONS, emotional, track
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import matplotlib
 
-from ..blas import one_blas_thread
 from ..errors import ParameterError
 from ..files import replacing
+from ..runtime.blas import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from ..evaluation.ablation import VARIANTS, run_ablations
 from ..evaluation.truth import FIRST, REPEAT
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
 from .drawing import Faces, add_scale, grid
 from .performances import PARAMETER_SETS, Take
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..mesh import adjacency
+from ..geometry.mesh import adjacency
 from .drawing import Faces, add_scale, grid
 from .performances import PARAMETER_SETS, Take, track
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..errors import TrackingError
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
 from ..parameters import Parameters
 from ..report.pictures import face_view
 from ..retargeting.arkit import arkit_weights

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..actor import Actor
 from ..evaluation.metrics import TrueSurface, true_motion
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
 from ..neutral.capture import capture_actor
 from ..parameters import Parameters
 from ..synthetic.sensor import SyntheticSensor

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..errors import TrackingError
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 from ..report.pictures import depth_picture, face_view, frontal_triangles, shaded_overlay
 from ..synthetic.sensor import SyntheticSensor
 from .drawing import SIZE, Faces, add_scale, grid

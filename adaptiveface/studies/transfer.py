@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..evaluation.coefficients import known_performance
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
 from ..retargeting import BUILT_IN
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import load_character

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
-from ..frame import FEATURE_IDS
+from ..geometry.frame import FEATURE_IDS
 from .fields import soft_step
 
 

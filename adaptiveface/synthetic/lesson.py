@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 from .script import Event, unit_vector
 from .sensor import SyntheticSensor
 

@@ -13,7 +13,7 @@ from matplotlib.path import Path
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial import cKDTree
 
-from ..frame import FEATURE_IDS
+from ..geometry.frame import FEATURE_IDS
 from .fields import smooth_field
 
 #: Columns of :attr:`Makeup.fields`.

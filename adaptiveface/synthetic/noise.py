@@ -23,8 +23,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..camera import Camera
 from ..errors import ParameterError
+from ..geometry.camera import Camera
 
 #: Units per metre in which each kind of sensor stores its depth.
 DEPTH_SCALES = {"structured-light": 1000.0, "truedepth": 10000.0, "none": 10000.0}

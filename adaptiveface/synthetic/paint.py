@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..camera import Camera
-from ..mesh import surface_points, vertex_normals
-from ..rendering import Hits, Light, gather, illuminate
+from ..geometry.camera import Camera
+from ..geometry.mesh import surface_points, vertex_normals
+from ..geometry.rendering import Hits, Light, gather, illuminate
 from .makeup import BLUSH, BROWS, FRECKLES, HAIR, LASHES, LIPS, TEXTURE, make_makeup
 from .scene import EYES, MOUTH, SKIN, TORSO, Scene
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..face_model import FaceModel, embedded_face_model
-from ..mesh import boundary_loops, surface_points, vertex_normals
+from ..geometry.mesh import boundary_loops, surface_points, vertex_normals
+from ..model.face_model import FaceModel, embedded_face_model
 from .contacts import Contact, EyeballContact, make_contact, make_eyeball_contact, rings, sides
 from .folds import make_folds
 from .personal import identity_detail, make_interactions, make_jaw_hinge, path_bends, personal_units

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..mesh import boundary_loops, transform_points
+from ..geometry.mesh import boundary_loops, transform_points
 from .performer import Performer
 
 #: Part numbers of the scene's vertices.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mesh import rotation_vector_matrix
+from ..geometry.mesh import rotation_vector_matrix
 from .fields import soft_step
 
 # Gestures as expression units and strengths; a name without Left/Right stands for both sides. The six basic emotions

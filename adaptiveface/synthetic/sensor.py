@@ -11,13 +11,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import ParameterError
-from ..face_model import FaceModel
-from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
-from ..mesh import rotation_vector_matrix, surface_points, transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame
+from ..geometry.mesh import rotation_vector_matrix, surface_points, transform_points
+from ..geometry.rendering import Hits, covering_window, ray_cast
+from ..model.face_model import FaceModel
 from ..renamed import renamed
-from ..rendering import Hits, covering_window, ray_cast
 from .noise import DEPTH_SCALES, add_noise
 from .paint import Painter
 from .performer import Performer

@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..actor import Actor
 from ..caches.compiled import compiled
+from ..model.actor import Actor
 from ..parameters import AdaptivePcaParameters
 from .types import SampleState
 

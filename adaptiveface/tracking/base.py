@@ -13,8 +13,8 @@ from typing import Self
 
 import numpy as np
 
-from ..actor import Actor
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
 from ..parameters import Parameters
 from .adaptive_pca import AdaptiveModel
 from .feature_rows import feature_rows

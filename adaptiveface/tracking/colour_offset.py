@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..actor import Actor
-from ..frame import RgbdFrame
-from ..mesh import transform_points
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
 from .detection import lift_features
 from .types import TrackedFrame
 

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..actor import Actor
-from ..camera import Camera
-from ..frame import Features2D, RgbdFrame
-from ..mesh import transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
 from ..parameters import Parameters
 from .base import Tracker, timed
 from .detection import pose_from_features

@@ -22,14 +22,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..appearance import channels
 from ..caches.compiled import compiled
-from ..camera import Camera
-from ..frame import RgbdFrame
-from ..mesh import transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points
+from ..model.appearance import channels
+from ..model.skin import Skin
 from ..parameters import SkinParameters
 from ..registration.association import Correspondences
-from ..skin import Skin
 from .laplacian import FeatureTerm, LaplacianDeformation
 from .region import FrontalRegion
 from .skin_term import SkinTerm

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..frame import RgbdFrame
-from ..mesh import rigid_alignment, transform_points
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import rigid_alignment, transform_points
 from .feature_rows import reprojection_errors
 
 #: Features with depth from which a face's size is measured, and the distance beyond which a pair of them tells it, mm.

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from scipy.linalg.blas import dsyrk
 
-from ..actor import Actor
 from ..caches.compiled import compiled
-from ..camera import Camera
-from ..frame import Features2D
-from ..mesh import transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
 from ..parameters import BlendshapeParameters
 from ..registration.association import find_correspondences
 from ..registration.step import apply_rigid_update

@@ -10,8 +10,8 @@ import dataclasses
 
 import numpy as np
 
-from ..camera import Camera
-from ..frame import FEATURE_REGIONS, RgbdFrame
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_REGIONS, RgbdFrame
 
 #: Depth in front of the predicted skin: up to the first it may be an expression, from the second on it covers it, mm.
 #: Between two frames lips come forward by less; a finger is thicker.

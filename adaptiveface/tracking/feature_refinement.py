@@ -18,12 +18,12 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from ..actor import Actor
-from ..appearance import BLURS, channels
 from ..caches.compiled import compiled
-from ..camera import Camera
-from ..frame import FEATURE_REGIONS, Features2D, RgbdFrame
-from ..mesh import surface_points, transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame
+from ..geometry.mesh import surface_points, transform_points
+from ..model.actor import Actor
+from ..model.appearance import BLURS, channels
 from ..parameters import RefinementParameters
 from .patch_alignment import align_patches
 

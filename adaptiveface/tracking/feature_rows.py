@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
-from ..frame import Features2D
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D
 
 
 @dataclass(frozen=True)

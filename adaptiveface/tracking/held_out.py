@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..actor import Actor
-from ..camera import Camera
-from ..frame import DetectedFace
-from ..mesh import transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import DetectedFace
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
 
 #: MediaPipe's corners of the right and of the left eye.
 EYES = ((33, 133), (362, 263))

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ..actor import Actor
-from ..mesh import cotangent_laplacian
+from ..geometry.mesh import cotangent_laplacian
+from ..model.actor import Actor
 from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
 from .prefactored import LaplacianOperator, PrefactoredSystem

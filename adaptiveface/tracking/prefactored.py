@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ..caches.compiled import compiled
-from ..mesh import cotangent_laplacian
+from ..geometry.mesh import cotangent_laplacian
 from .packed_factor import PackedFactor
 
 #: L (N, N) of a mesh: ``laplacian(vertices (N, 3), triangles (T, 3))``.

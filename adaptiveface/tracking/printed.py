@@ -20,9 +20,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
-from ..frame import Features2D
-from ..mesh import transform_points
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D
+from ..geometry.mesh import transform_points
 from ..parameters import LaplacianParameters
 from ..registration.association import Correspondences
 from .laplacian import FeatureTerm

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..actor import Actor
 from ..caches.compiled import compiled
-from ..mesh import vertex_normals
+from ..geometry.mesh import vertex_normals
+from ..model.actor import Actor
 
 
 class FrontalRegion:

@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from ..actor import Actor
 from ..errors import FileFormatError
+from ..model.actor import Actor
 from ..parameters import BlendshapeParameters
 from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
 from ..parameters import RigidParameters
 from ..registration.association import Correspondences, find_correspondences
 from ..registration.icp import Iterate, icp, last

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..actor import Actor
+from ..model.actor import Actor
+from ..model.skin import Skin
 from ..parameters import (
     AdaptivePcaParameters,
     BlendshapeParameters,
@@ -16,7 +17,6 @@ from ..parameters import (
     RigidParameters,
     SkinParameters,
 )
-from ..skin import Skin
 from .adaptive_pca import AdaptiveModel
 from .dense_skin import DenseSkin
 from .expression import BlendshapeFit

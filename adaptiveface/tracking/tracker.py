@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..actor import Actor
-from ..frame import Features2D, RgbdFrame
-from ..mesh import transform_points
+from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.mesh import transform_points
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..registration.association import Correspondences, find_correspondences
 from ..registration.surface import DepthSurface, crop_window, depth_surface, occluded_share

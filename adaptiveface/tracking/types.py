@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from ..mesh import transform_points
+from ..geometry.mesh import transform_points
 from ..renamed import renamed
 
 

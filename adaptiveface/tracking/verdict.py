@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 from .detection import MIN_LIFTED, lift_features, measured_size
 from .types import TrackedFrame
 

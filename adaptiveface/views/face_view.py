@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import ipywidgets as widgets
 import numpy as np
 
-from ..actor import Actor
+from ..geometry.polydata import surface
 from ..insides import make_insides, moved
-from ..polydata import surface
+from ..model.actor import Actor
 from . import heads, still
 
 #: Colour maps that people with any colour vision can order: of lengths, and of signed values.

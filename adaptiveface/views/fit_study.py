@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ..actor import Actor
-from ..frame import RgbdFrame
-from ..mesh import vertex_normals
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import vertex_normals
+from ..model.actor import Actor
 from ..parameters import BlendshapeParameters, DepthParameters, KalmanParameters
 from ..registration.association import find_correspondences
 from ..registration.surface import crop_window, depth_surface

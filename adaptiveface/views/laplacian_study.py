@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from ..actor import Actor
-from ..camera import Camera
-from ..frame import FEATURE_IDS, RgbdFrame
-from ..mesh import adjacency, cotangent_laplacian
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_IDS, RgbdFrame
+from ..geometry.mesh import adjacency, cotangent_laplacian
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..tracking.laplacian import LaplacianDeformation
 from ..tracking.stages import Stages

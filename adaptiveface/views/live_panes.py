@@ -7,11 +7,11 @@ from collections import deque
 import ipywidgets as widgets
 import numpy as np
 
-from ..actor import Actor
-from ..face_model import embedded_face_model
-from ..gaze import GazeTrack
+from ..geometry.mesh import surface_points, transform_points, vertex_normals
 from ..live.session import LiveResult
-from ..mesh import surface_points, transform_points, vertex_normals
+from ..model.actor import Actor
+from ..model.face_model import embedded_face_model
+from ..model.gaze import GazeTrack
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import load_character
 from ..retargeting.portrait import FACING, portrait

@@ -11,13 +11,13 @@ from os import PathLike
 from pathlib import Path
 from typing import ClassVar
 
-from ..actor import Actor
 from ..errors import AdaptiveFaceError, TrackingError
-from ..face_model import embedded_face_model
 from ..files import check_output
 from ..live.recorder import LiveRecorder
 from ..live.run import BUILDING, CLOSED, FAILED, OPENING, SCANNING, TRACKING, LiveRun
 from ..live.session import LiveResult
+from ..model.actor import Actor
+from ..model.face_model import embedded_face_model
 from ..parameters import Parameters
 from ..sensors.live import LiveSensor
 from .kernel import BackgroundTask, on_main_thread, running_loop, strict

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..evaluation import motion_error, neutral_alignment
-from ..frame import RgbdFrame
-from ..mesh import transform_points, vertex_normals
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points, vertex_normals
 from ..tracking.types import TrackedFrame
 from .session import Session
 

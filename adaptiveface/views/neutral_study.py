@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import ipywidgets as widgets
 import numpy as np
 
-from ..actor import Actor
 from ..evaluation import GroundTruth, neutral_alignment, surface_distance
-from ..face_model import FaceModel, embedded_face_model
-from ..mesh import transform_points, vertex_normals
+from ..geometry.mesh import transform_points, vertex_normals
+from ..model.actor import Actor
+from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.fit import IdentityFit, ScanSearch
 from ..neutral.fuse import FusedScan, fuse_frames
 from ..neutral.shrink_wrap import shrink_wrap

@@ -7,7 +7,7 @@ import asyncio
 import ipywidgets as widgets
 import numpy as np
 
-from ..mesh import vertex_normals
+from ..geometry.mesh import vertex_normals
 from ..parameters import AdaptivePcaParameters
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.types import SampleState, TrackedFrame

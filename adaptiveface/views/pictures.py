@@ -6,7 +6,7 @@ import cv2
 import ipywidgets as widgets
 import numpy as np
 
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
 
 
 def encode(image: np.ndarray, format: str = "jpeg", quality: int = 85) -> bytes:

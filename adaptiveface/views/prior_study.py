@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..evaluation import GroundTruth, neutral_alignment, surface_distance
-from ..face_model import FaceModel, embedded_face_model
-from ..frame import RgbdFrame
-from ..mesh import transform_points
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points
+from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.fit import fit_identity
 from ..neutral.fuse import fuse_frames
 from ..parameters import FitParameters

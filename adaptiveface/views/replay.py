@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..actor import Actor
-from ..frame import RgbdFrame
+from ..geometry.frame import RgbdFrame
+from ..model.actor import Actor
 from ..parameters import Parameters
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.base import Tracker

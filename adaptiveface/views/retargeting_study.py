@@ -8,7 +8,7 @@ import cv2
 import ipywidgets as widgets
 import numpy as np
 
-from ..mesh import rotation_vector_matrix
+from ..geometry.mesh import rotation_vector_matrix
 from ..parameters import BlendshapeParameters
 from ..pipeline import one_blas_thread
 from ..retargeting import BUILT_IN

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..evaluation import neutral_alignment, pose_error
-from ..frame import RgbdFrame
-from ..mesh import transform_points, vertex_normals
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points, vertex_normals
 from ..parameters import DepthParameters, Parameters
 from ..registration.association import Correspondences, find_correspondences
 from ..registration.icp import icp

@@ -17,17 +17,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from .. import face_model
-from ..actor import Actor
 from ..caches import cache_folder
-from ..camera import Camera
 from ..errors import AdaptiveFaceError, FileFormatError
 from ..evaluation import GroundTruth, TruthFrame
-from ..frame import Features2D, RgbdFrame
-from ..mesh import surface_points
+from ..files.npz import Field, load_checked, write_npz
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.mesh import surface_points
+from ..model import face_model
+from ..model.actor import Actor
 from ..neutral.choice import LOOK, choose, judge
 from ..neutral.take import face_found
-from ..npz import Field, load_checked, write_npz
 from ..parameters import Parameters
 from ..pipeline import FrameReader, capture_from, one_blas_thread
 from ..sensors import open_source
@@ -158,7 +158,7 @@ def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None)
     """Render (or load) one performance of ``count`` frames, half of them the first time, half the repeat."""
     if cache is None:
         return _session(source, _render(source, neutral_frames, count), neutral_frames, None)
-    asset = Path(face_model.__file__).parent / "assets" / "face_model.npz"
+    asset = Path(__file__).resolve().parents[1] / "assets" / "face_model.npz"
     key = f"{CACHE_VERSION}|{source}|{neutral_frames}|{count}|{hashlib.sha256(asset.read_bytes()).hexdigest()}"
     stem = cache / f"performance-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     data_file, actor_file = stem.with_suffix(".npz"), stem.with_suffix(".actor.npz")

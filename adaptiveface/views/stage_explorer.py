@@ -10,10 +10,10 @@ import ipywidgets as widgets
 import numpy as np
 
 from ..errors import ParameterError
-from ..frame import RgbdFrame
-from ..gaze import GazeEstimator
+from ..geometry.frame import RgbdFrame
+from ..geometry.polydata import correctives, surface
+from ..model.gaze import GazeEstimator
 from ..parameters import Parameters
-from ..polydata import correctives, surface
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
 from ..tracking.verdict import verdict_of

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
+from ..geometry.mesh import vertex_normals
+from ..geometry.painting import paint
+from ..geometry.rendering import Light, heat_map, irradiance
 from ..insides import Insides, placed
-from ..mesh import vertex_normals
-from ..painting import paint
-from ..rendering import Light, heat_map, irradiance
 
 SKIN = (205.0, 170.0, 150.0)
 #: The camera stands so far before the middle of the face, and turns about a point so far behind it, mm: about the face

@@ -13,10 +13,10 @@ from scipy.linalg import polar
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
-from ..actor import Actor
-from ..blendshapes import STILL, deformation_gradients, gradient_operator
-from ..face_model import FaceModel, embedded_face_model
-from ..mesh import surface_points, triangle_normals
+from ..geometry.mesh import surface_points, triangle_normals
+from ..model.actor import Actor
+from ..model.blendshapes import STILL, deformation_gradients, gradient_operator
+from ..model.face_model import FaceModel, embedded_face_model
 from ..report.pictures import Portraits, on_backdrop
 from .charts import COLOURS
 from .figures import picture

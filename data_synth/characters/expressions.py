@@ -9,8 +9,8 @@ from face_model.lids import blink
 from face_model.mouth import separate_lips
 from face_model.tracking_mesh import TrackingMesh
 
-from adaptiveface.blendshapes import deformation_transfer
-from adaptiveface.face_model import FaceModel
+from adaptiveface.model.blendshapes import deformation_transfer
+from adaptiveface.model.face_model import FaceModel
 
 UPPER_SHARE = {"mouthRollUpper": 1.0, "mouthRollLower": 0.0}
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from face_model.makehuman import MakeHuman
 
+from adaptiveface.geometry.mesh import rotation_vector_matrix
 from adaptiveface.insides.parts import eyeball_mesh, rim_height, smooth_ring
-from adaptiveface.mesh import rotation_vector_matrix
 
 #: Degrees of an eyeball's turn at full activation.
 GAZE = {"eyeLookIn": 26.0, "eyeLookOut": 26.0, "eyeLookUp": 20.0, "eyeLookDown": 22.0}

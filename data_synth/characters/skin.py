@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptiveface.face_model import FaceModel
-from adaptiveface.mesh import surface_points, vertex_normals
+from adaptiveface.geometry.mesh import surface_points, vertex_normals
+from adaptiveface.model.face_model import FaceModel
 
 from .recipes import Recipe, bump
 

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
 
-from adaptiveface.mesh import adjacency
+from adaptiveface.geometry.mesh import adjacency
 
 from .fields import FieldSmoother
 from .lids import EyeOpening

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from adaptiveface.frame import MEDIAPIPE_INDICES
+from adaptiveface.geometry.frame import MEDIAPIPE_INDICES
 
 from .anatomy import Anatomy
 
@@ -66,7 +66,7 @@ RIGHT = {
 
 
 def place_features(mean: np.ndarray, anatomy: Anatomy) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (40, 3) of vertex numbers and weights (40, 3), in the order of ``adaptiveface.frame.FEATURE_IDS``."""
+    """Triangles (40, 3) of vertex numbers and weights (40, 3), in the order of ``adaptiveface.geometry.frame.FEATURE_IDS``."""
     mesh = anatomy.mesh
     triangle_of_edge = {}
     for triangle in mesh.triangles.tolist():

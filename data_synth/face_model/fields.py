@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from adaptiveface.mesh import cotangent_laplacian, vertex_areas
+from adaptiveface.geometry.mesh import cotangent_laplacian, vertex_areas
 
 
 class FieldSmoother:

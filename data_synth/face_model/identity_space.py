@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptiveface.mesh import rigid_alignment, transform_points, vertex_areas
+from adaptiveface.geometry.mesh import rigid_alignment, transform_points, vertex_areas
 
 from .tracking_mesh import TrackingMesh
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from adaptiveface.mesh import vertex_normals
+from adaptiveface.geometry.mesh import vertex_normals
 
 from .anatomy import Anatomy
 

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from adaptiveface.mesh import vertex_normals
+from adaptiveface.geometry.mesh import vertex_normals
 
 NORMAL_WEIGHT_MM = 6.0  # a unit of normal difference counts as this distance: keeps both sides of a thin fold apart
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from tqdm import tqdm
 
-from adaptiveface.mesh import vertex_normals
+from adaptiveface.geometry.mesh import vertex_normals
 
 from .reference import Polyline, ReferenceSurface
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pyvista as pv
 
-from adaptiveface.face_model import FaceModel
-from adaptiveface.mesh import surface_points
+from adaptiveface.geometry.mesh import surface_points
+from adaptiveface.model.face_model import FaceModel
 
 SKIN, EYE, INK = (0.84, 0.66, 0.56), (0.95, 0.95, 0.95), "#775544"
 DISTANCE_MM = 800.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .caches.compiled import compiled
+from ..caches.compiled import compiled
 from .camera import Camera
 from .mesh import vertex_normals
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .errors import FileFormatError, abbreviated
+from ..errors import FileFormatError, abbreviated
 
 #: Most pixels of a picture: 8K video has 33 million.
 MAX_PIXELS = 1 << 25

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from .actor import Actor
-from .errors import FileFormatError
-from .files import blocks
-from .files.records import array, arrays, by_attribute, checks, read, record, row_dtype
-from .npz import Field, check_indices, load_checked, write_npz
-from .parameters import Parameters
-from .renamed import renamed
-from .result_access import ResultAccess
+from ..errors import FileFormatError
+from ..files import blocks
+from ..files.npz import Field, check_indices, load_checked, write_npz
+from ..files.records import array, arrays, by_attribute, checks, read, record, row_dtype
+from ..model.actor import Actor
+from ..parameters import Parameters
+from ..renamed import renamed
+from ..tracking.held_out import HeldOut, describe, warn
+from ..tracking.types import STAGE_NAMES, SampleState, TrackedFrame
+from ..tracking.verdict import face_seen, verdict
+from .access import ResultAccess
 from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows
-from .tracking.held_out import HeldOut, describe, warn
-from .tracking.types import STAGE_NAMES, SampleState, TrackedFrame
-from .tracking.verdict import face_seen, verdict
 
 #: How everything that people read calls a result that was tracked without depth.
 COLOUR_ONLY = "colour only: no depth, degraded"
@@ -189,8 +189,9 @@ class ResultBuilder:
     """Collects a run frame by frame; 0.09 MB per frame of 7,053 vertices, four times that with the stages.
 
     ``add`` or ``skip`` once per frame in order, then ``finish`` (at any time: frames not reached are left out). More
-    frames than ``n_frames`` make it grow. ``folder``: keep the rows in files there (see :mod:`adaptiveface.rows`), in
-    bounded memory and safe from whatever ends the process; :func:`adaptiveface.rows.discard` it once the result is saved.
+    frames than ``n_frames`` make it grow. ``folder``: keep the rows in files there (see :mod:`adaptiveface.result.rows`), in
+    bounded memory and safe from whatever ends the process; :func:`adaptiveface.result.rows.discard` it once the result is
+    saved.
     """
 
     def __init__(

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any, Self, cast, overload
 
 import numpy as np
 
-from .errors import MissingExtraError, ParameterError
-from .files.records import declared
-from .mesh import transform_points
-from .polydata import correctives, surface
-from .renamed import renamed
+from ..errors import MissingExtraError, ParameterError
+from ..files.records import declared
+from ..geometry.mesh import transform_points
+from ..geometry.polydata import correctives, surface
+from ..renamed import renamed
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from .polydata import PolyData
+    from ..geometry.polydata import PolyData
 
 
 @renamed

@@ -14,11 +14,11 @@ from importlib.resources import as_file, files
 
 import numpy as np
 
-from .camera import Camera
-from .errors import FileFormatError
-from .files.records import array, read, record
-from .frame import FEATURE_IDS, FEATURE_REGIONS, LANDMARKS, MEDIAPIPE_INDICES, Features2D
-from .mesh import surface_points
+from ..errors import FileFormatError
+from ..files.records import array, read, record
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_IDS, FEATURE_REGIONS, LANDMARKS, MEDIAPIPE_INDICES, Features2D
+from ..geometry.mesh import surface_points
 
 #: Deviation of the 40 features where nothing else is known, mm: between persons and from frame to frame.
 PAPER_PERSONAL, PAPER_DEVIATION = 0.7, 1.0

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..errors import FileFormatError
+from ..files.npz import write_npz
+from ..files.records import array, arrays, part, read, record
+from ..geometry.frame import FEATURE_IDS
+from ..geometry.polydata import cloud, expression_weights, surface
 from .appearance import Appearance
-from .errors import FileFormatError
 from .feature_set import FeatureSet, checked_set
-from .files.records import array, arrays, part, read, record
-from .frame import FEATURE_IDS
-from .npz import write_npz
-from .polydata import cloud, expression_weights, surface
 from .skin import Skin
 
 if TYPE_CHECKING:
+    from ..geometry.polydata import PolyData
     from .face_model import FaceModel
-    from .polydata import PolyData
 
 #: A rig of 100,000 vertices and 100 expressions has half of it.
 MAX_BYTES = 256 << 20

@@ -17,8 +17,8 @@ from typing import Literal
 
 import numpy as np
 
-from .errors import AdaptiveFaceError, FileFormatError
-from .npz import write_npz
+from ..errors import AdaptiveFaceError, FileFormatError
+from ..files.npz import write_npz
 
 _log = logging.getLogger(__name__)
 HEAD, ROWS = "head.npz", "rows.bin"

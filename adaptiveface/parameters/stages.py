@@ -1,4 +1,4 @@
-"""The machinery of the parameters: documented fields that check themselves, in stages, in a set; the data is parameters.py."""
+"""The machinery of the parameters: documented fields that check themselves, in stages, in a set; the data is beside it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
-from .errors import ParameterError
-from .renamed import OLD_NAMES, warn
+from ..errors import ParameterError
+from ..renamed import OLD_NAMES, warn
 
 
 def parameter(default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None):

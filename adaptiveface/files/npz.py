@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FileFormatError, abbreviated
-from .files import Archive, blocks, map_member, replacing
+from ..errors import FileFormatError, abbreviated
+from . import Archive, blocks, map_member, replacing
 
 MAX_BYTES = 8 << 30
 #: Of the whole file, whose large arrays may stay on the disk.

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .errors import FileFormatError
-from .files.records import array, record
+from ..errors import FileFormatError
+from ..files.records import array, record
 
 #: Gaussian blurs, px, from coarse to fine: the first reaches farther, the last is more exact.
 BLURS = (1.5, 0.0)

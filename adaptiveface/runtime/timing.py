@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import FileFormatError
+from ..errors import FileFormatError
 
 #: Frames per second that cameras and programs work with; NTSC's are 1000/1001 of a whole number.
 STANDARD_RATES = tuple(

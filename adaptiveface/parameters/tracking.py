@@ -1,18 +1,12 @@
-"""Every parameter of the method, once: default, unit, range, source in the paper.
-
-A field makes the default, the command line's ``--set stage.name=value``, the slider of the notebooks and the table in the
-docs. ``Parameters()`` holds our defaults, ``Parameters.paper()`` the nearest working reading of the paper: its values, and
-its formulas wherever they work. The paper notes in the docs list what is left, with what it costs.
-"""
+"""Parameters of sections 4 and 5: depth map, rigid ICP, features, blendshapes, filter, deformation, correctives."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
 
-from .errors import ParameterError
-from .renamed import renamed
-from .stages import Stage, StageSet, parameter
+from ..errors import ParameterError
+from ..renamed import renamed
+from .stages import Stage, parameter
 
 
 @dataclass(frozen=True)
@@ -301,131 +295,6 @@ class AdaptivePcaParameters(Stage):
 
 @renamed
 @dataclass(frozen=True)
-class FusionParameters(Stage):
-    """Section 3: registration of the neutral depth frames and their volumetric integration."""
-
-    voxel: float = parameter(2.0, "grid spacing of the volume", unit="mm", section="3", low=0.5, high=10)
-    truncation: float = parameter(
-        5.0, "signed distances saturate at this many voxels", unit="voxels", section="3", low=2, high=20
-    )
-    margin: float = parameter(
-        35.0, "the volume reaches this far around the model's frontal region", unit="mm", section="3", low=5, high=200
-    )
-    passes: int = parameter(
-        2,
-        "passes over the frames: the first grows the model, later ones align to all of it",
-        section="3",
-        low=1,
-        high=10,
-    )
-    iterations: int = parameter(20, "most ICP steps for one frame", section="3", low=1, high=100)
-    icp_points: int = parameter(6000, "model points used by ICP", section="3", low=500, high=100000)
-    max_correspondence_distance: float = parameter(
-        25.0, "correspondences farther away are dropped", unit="mm", section="3", low=1, high=200
-    )
-    normal_angle: float = parameter(
-        40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
-    )
-    min_cosine: float = parameter(
-        0.25, "depth seen at a smaller cosine of the viewing angle is not used", section="3", low=0, high=0.9
-    )
-    max_residual: float = parameter(
-        3.0, "a frame whose median residual is larger is left out", unit="mm", section="3", low=0.1, high=20
-    )
-    min_overlap: float = parameter(
-        0.3, "a frame that meets a smaller share of the visible model is left out", section="3", low=0, high=1
-    )
-    min_views: float = parameter(2.0, "scan points need this much accumulated view weight", section="3", low=0, high=100)
-
-
-@renamed
-@dataclass(frozen=True)
-class FitParameters(Stage):
-    """Section 3: rigid pose and identity coefficients on the merged scan."""
-
-    modes: int = parameter(50, "identity modes used, at most those of the model", section="3", low=0, high=500)
-    iterations: int = parameter(25, "rounds of correspondence search and solve", section="3", low=1, high=200)
-    scan_sigma: float = parameter(
-        1.0,
-        "expected point-to-plane distance of the model to the scan",
-        unit="mm",
-        section="3",
-        low=0.05,
-        high=20,
-        log=True,
-    )
-    samples: float = parameter(
-        500.0,
-        "independent observations in the scan: its points are correlated",
-        section="3",
-        low=10,
-        high=100000,
-        log=True,
-    )
-    feature_sigma: float = parameter(
-        1.0,
-        "expected distance of a model feature from its viewing ray",
-        unit="mm",
-        section="3",
-        low=0.1,
-        high=50,
-        log=True,
-    )
-    max_correspondence_distance: float = parameter(
-        20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1, high=200
-    )
-    normal_angle: float = parameter(
-        45.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
-    )
-
-
-@renamed
-@dataclass(frozen=True)
-class ShrinkWrapParameters(Stage):
-    """Section 3: non-rigid ICP for what the identity modes cannot hold (Li et al. 2009)."""
-
-    node_spacing: float = parameter(
-        16.0, "distance between the nodes of the deformation graph", unit="mm", section="3", low=3, high=60
-    )
-    iterations: int = parameter(8, "rounds of correspondence search and graph solve", section="3", low=0, high=200)
-    rigidity_start: float = parameter(
-        100.0, "weight of the rigidity of the nodes at first", section="3", low=0, high=1e6, log=True
-    )
-    rigidity_end: float = parameter(0.3, "weight of the rigidity of the nodes at last", section="3", low=0, high=1e6, log=True)
-    smoothness: float = parameter(
-        0.1,
-        "smoothness of neighbouring nodes, as a share of the rigidity weight",
-        section="3",
-        low=0,
-        high=100,
-        log=True,
-    )
-    feature_weight: float = parameter(
-        2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0, high=1000, log=True
-    )
-    feature_shift: float = parameter(
-        4.0,
-        "a feature may move this far on the surface to where the person's neutral shows it",
-        unit="mm",
-        section="3",
-        low=0,
-        high=20,
-    )
-    contact_weight: float = parameter(
-        4.0, "lips that touch in the model stay together: weight of a pair", section="3", low=0, high=1000, log=True
-    )
-    detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)
-    detail_smoothness: float = parameter(1.0, "smoothness of the fine step", section="3", low=1e-4, high=1e4, log=True)
-    max_correspondence_distance: float = parameter(
-        8.0, "correspondences farther away are dropped", unit="mm", section="3", low=0.5, high=100
-    )
-    normal_angle: float = parameter(
-        40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
-    )
-
-
-@renamed
-@dataclass(frozen=True)
 class RefinementParameters(Stage):
     """Detected 2D features, refined by how the neutral looks around them; not in the paper."""
 
@@ -451,29 +320,3 @@ class SkinParameters(Stage):
     noise: float = parameter(4.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
     rounds: int = parameter(2, "times that the colours are linearised", low=1, high=20)
     cg_iterations: int = parameter(3, "preconditioned conjugate-gradient iterations of a round", low=1, high=50)
-
-
-@dataclass(frozen=True)
-class Parameters(StageSet):
-    """All stages; frozen, so that a run can be named by its parameters."""
-
-    fusion: FusionParameters = field(default_factory=FusionParameters)
-    fit: FitParameters = field(default_factory=FitParameters)
-    shrink_wrap: ShrinkWrapParameters = field(default_factory=ShrinkWrapParameters)
-    depth: DepthParameters = field(default_factory=DepthParameters)
-    rigid: RigidParameters = field(default_factory=RigidParameters)
-    refinement: RefinementParameters = field(default_factory=RefinementParameters)
-    blendshapes: BlendshapeParameters = field(default_factory=BlendshapeParameters)
-    kalman: KalmanParameters = field(default_factory=KalmanParameters)
-    laplacian: LaplacianParameters = field(default_factory=LaplacianParameters)
-    skin: SkinParameters = field(default_factory=SkinParameters)
-    adaptive_pca: AdaptivePcaParameters = field(default_factory=AdaptivePcaParameters)
-
-
-for _field in fields(Parameters):
-    _field.default_factory.stage = _field.name
-
-
-def describe() -> list[dict[str, Any]]:
-    """One row per parameter for tables and sliders: stage, name, default and the field's documentation."""
-    return Parameters.rows()

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..geometry.camera import Camera
+from ..geometry.frame import FEATURE_IDS, Features2D
+from ..geometry.mesh import surface_points, transform_points
+from ..insides import make_insides
+from ..insides.parts import CORNEA
 from .actor import Actor
-from .camera import Camera
-from .frame import FEATURE_IDS, Features2D
-from .insides import make_insides
-from .insides.parts import CORNEA
-from .mesh import surface_points, transform_points
 
 #: iBUG numbers of the corners, and pairs of upper and lower lid, by eye.
 _CORNERS = ((42, 45), (36, 39))
@@ -75,7 +75,7 @@ class GazeEstimator:
         return gaze
 
     def see(self, tracked, frame) -> np.ndarray | None:
-        """:meth:`measure` in a tracked frame and the :class:`~adaptiveface.frame.RgbdFrame` that it came from.
+        """:meth:`measure` in a tracked frame and the :class:`~adaptiveface.geometry.frame.RgbdFrame` that it came from.
 
         None without a face.
         """
@@ -134,7 +134,7 @@ class GazeTrack:
         return self._now
 
     def see(self, tracked, frame) -> np.ndarray:
-        """The gaze (2, 2) in a tracked frame and the :class:`~adaptiveface.frame.RgbdFrame` that it came from."""
+        """The gaze (2, 2) in a tracked frame and the :class:`~adaptiveface.geometry.frame.RgbdFrame` that it came from."""
         return self.add(self._estimator.see(tracked, frame))
 
     @property

@@ -13,10 +13,10 @@ from importlib.resources import files
 
 import numpy as np
 
+from ..files.npz import write_npz
+from ..files.records import array, arrays, read, record
+from ..geometry.frame import FEATURE_IDS
 from .feature_set import FeatureSet, landmark_set
-from .files.records import array, arrays, read, record
-from .frame import FEATURE_IDS
-from .npz import write_npz
 
 
 @record

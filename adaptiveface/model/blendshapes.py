@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from .mesh import triangle_normals
+from ..geometry.mesh import triangle_normals
 
 #: mm; a vertex whose source displacement stays below this in every expression is held where it is.
 STILL = 1e-6

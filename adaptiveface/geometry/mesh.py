@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import scipy.sparse as sp
 
-from .caches.compiled import compiled
+from ..caches.compiled import compiled
 
 
 def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:

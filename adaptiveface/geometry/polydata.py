@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .errors import MissingExtraError, ParameterError
+from ..errors import MissingExtraError, ParameterError
 from .mesh import vertex_normals
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from .errors import FileFormatError
-from .files.records import array, record
+from ..errors import FileFormatError
+from ..files.records import array, record
 
 #: An actor keeps no more samples than this.
 MOST = 8000
@@ -23,7 +23,7 @@ MOST = 8000
 class Skin:
     """Samples on the surface of the neutral, in the order in which they are worth taking.
 
-    The colours are :func:`~adaptiveface.appearance.channels` without blur.
+    The colours are :func:`~adaptiveface.model.appearance.channels` without blur.
     """
 
     triangles: np.ndarray = array("SKIN 3", "i4", "corners of the triangle that a sample of the face sits on", below="N")
