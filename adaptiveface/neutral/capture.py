@@ -10,19 +10,23 @@ import numpy as np
 
 from ..errors import TrackingError
 from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import transform_points
 from ..model.actor import Actor
 from ..model.blendshapes import deformation_transfer
 from ..model.face_model import FaceModel, embedded_face_model
-from ..parameters import Parameters
+from ..parameters import FitParameters, Parameters
 from .appearance import gather_appearance
 from .features import FeatureConstraints, calibrated_features, calibrated_landmarks, constraints_on
 from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
+from .hair import without_hair
 from .plausible import ImplausibleFaceError, check_fit, say_doubtful_size
 from .shrink_wrap import ShrinkWrap, shrink_wrap
 from .skin import gather_skin
 
 DEFAULTS = Parameters()
+#: A head that is fitted without hair shows more of it, this often.
+HAIR_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -68,16 +72,17 @@ def capture_neutral(
     try:
         scan = fuse_frames(frames, model, parameters.fusion, report)
         report("fit", 0.0)
-        fit = fit_identity(scan, model, parameters.fit)
+        scan, fit, hair = fit_to_skin(scan, model, parameters.fit)
         check_fit(fit, model)
     except ImplausibleFaceError as error:
         raise error.of(source) from None
     say_doubtful_size(source, model, fit.vertices)
     report("shrink_wrap", 0.0)
     scan = in_head_frame(scan, np.linalg.inv(fit.scan_from_head))
-    wrap = shrink_wrap(scan, model, fit.vertices, parameters.shrink_wrap)
+    wrap = shrink_wrap(scan, model, fit.vertices, parameters.shrink_wrap, hair)
     report("blendshapes", 0.0)
     actor = build_actor(model, wrap.vertices, scan, fit.identity)
+    actor = replace(actor, depth_valid=actor.depth_valid & ~hair)
     constraints = constraints_on(scan, model, wrap.vertices)
     places = calibrated_features(constraints, model, wrap.vertices, parameters.shrink_wrap.feature_shift)
     landmarks = calibrated_landmarks(scan, model, wrap.vertices)
@@ -96,6 +101,18 @@ def _looked_at(actor: Actor, frames: Sequence[RgbdFrame], scan: FusedScan, param
 
     appearance = gather_appearance(actor, views(), parameters.refinement)
     return replace(actor, appearance=appearance, skin=gather_skin(actor, views(), parameters.skin))
+
+
+def fit_to_skin(scan: FusedScan, model: FaceModel, parameters: FitParameters) -> tuple[FusedScan, IdentityFit, np.ndarray]:
+    """The scan without the hair that hangs into the face, the head fitted to what is left, and the vertices under hair."""
+    fit, hair = fit_identity(scan, model, parameters), np.zeros(len(model.mean), bool)
+    for _ in range(HAIR_ROUNDS):
+        head = transform_points(fit.scan_from_head, fit.vertices)
+        skin, under = without_hair(scan, model, head, parameters.hair)
+        if skin is scan:
+            break
+        scan, fit, hair = skin, fit_identity(skin, model, parameters), hair | under
+    return scan, fit, hair
 
 
 def build_actor(

@@ -41,7 +41,7 @@ class FusedScan:
     points, normals (P, 3); weights (P,): accumulated view weight, about the number of frames that saw the point; frames
     (K,) int: numbers of the frames used (positions in the sequence), poses (K, 4, 4): scan to camera of each; residuals
     (K,): median point-to-plane distance of each to the merged surface, mm; features: (K,) the 2D features of each, or
-    None; cameras (K,).
+    None; cameras (K,); noise: what the frames' noise left in the points, mm, 0 where it is not known.
     """
 
     points: np.ndarray
@@ -52,6 +52,7 @@ class FusedScan:
     residuals: np.ndarray
     features: tuple[Features2D | None, ...]
     cameras: tuple[Camera, ...]
+    noise: float = 0.0
 
     def mesh(self) -> PolyData:
         """The points as ``pyvista.PolyData`` in mm: x out of the face, y to the subject's left, z up.
@@ -195,16 +196,29 @@ def _merged(
     sample = slice(None, None, max(1, len(points) // parameters.icp_points))
     used = sorted(placed)
     fits = [evaluate(*placed[k], points[sample], normals[sample], parameters) for k in used]
+    residuals = np.array([fit.residual for fit in fits])
     return FusedScan(
         points,
         normals,
         weights,
         np.array(used),
         np.stack([placed[k].pose for k in used]),
-        np.array([fit.residual for fit in fits]),
+        residuals,
         tuple(frames[k].features for k in used),
         tuple(frames[k].camera for k in used),
+        _noise_left(residuals, [placed[k].view.noise for k in used], weights),
     )
+
+
+def _noise_left(residuals: np.ndarray, pixels: Sequence[float], weights: np.ndarray) -> float:
+    """Noise of the merged points, mm: that of one frame, over the root of how many frames saw a point.
+
+    A frame's noise is how far it lies from the merged surface (K residuals), of which it is a part itself. What a pixel
+    lies off its neighbours (K) is less than that, but known for a single frame, too.
+    """
+    count = len(residuals)
+    apart = float(np.median(residuals)) * np.sqrt(count / max(count - 1, 1))
+    return float(max(apart, np.median(pixels)) / np.sqrt(max(float(np.median(weights)), 1.0)))
 
 
 def _integrated(placed: dict[int, Placed], box: np.ndarray, parameters: FusionParameters) -> TsdfVolume:
@@ -227,13 +241,9 @@ def _model_points(volume: TsdfVolume, parameters: FusionParameters) -> tuple[np.
 def in_head_frame(scan: FusedScan, head_from_scan: np.ndarray) -> FusedScan:
     """The same scan in another frame: (4, 4) scan to head."""
     scan_from_head = np.linalg.inv(head_from_scan)
-    return FusedScan(
-        transform_points(head_from_scan, scan.points),
-        scan.normals @ head_from_scan[:3, :3].T,
-        scan.weights,
-        scan.frames,
-        scan.poses @ scan_from_head,
-        scan.residuals,
-        scan.features,
-        scan.cameras,
+    return replace(
+        scan,
+        points=transform_points(head_from_scan, scan.points),
+        normals=scan.normals @ head_from_scan[:3, :3].T,
+        poses=scan.poses @ scan_from_head,
     )

@@ -7,7 +7,7 @@ vertices along their normals, smooth where the scan says nothing (Li et al. 2009
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,20 +49,43 @@ class ShrinkWrap:
 
 
 def shrink_wrap(
-    scan: FusedScan, model: FaceModel, vertices: np.ndarray, parameters: ShrinkWrapParameters = DEFAULTS
+    scan: FusedScan,
+    model: FaceModel,
+    vertices: np.ndarray,
+    parameters: ShrinkWrapParameters = DEFAULTS,
+    hair: np.ndarray | None = None,
 ) -> ShrinkWrap:
-    """Warp the fitted head ``vertices`` (V, 3), given in the scan's frame, onto the scan (paper, section 3)."""
+    """Warp the fitted head ``vertices`` (V, 3), given in the scan's frame, onto the scan (paper, section 3).
+
+    What lies under ``hair`` (V,) meets no scan, and keeps the shape that was fitted.
+    """
     search = ScanSearch(scan)
-    coarse, history = _coarse(scan, model, vertices, search, parameters)
+    parameters = smoothed(parameters, scan.noise)
+    allowed = _wrapped(model) if hair is None else _wrapped(model) & ~hair
+    coarse, history = _coarse(scan, model, vertices, search, allowed, parameters)
     fine = coarse
     for _ in range(parameters.detail_iterations):
-        found = _search(search, model, fine, parameters)
+        found = _search(search, model, fine, allowed, parameters)
         history.append(_residual(found))
         fine = fine + _detail(fine, model, found, parameters)
-    found = _search(search, model, fine, parameters)
+    found = _search(search, model, fine, allowed, parameters)
     matched = np.zeros(len(vertices), bool)
     matched[found.vertices] = True
     return ShrinkWrap(fine, coarse, matched, _residual(found), np.array(history))
+
+
+def smoothed(parameters: ShrinkWrapParameters, noise: float) -> ShrinkWrapParameters:
+    """The parameters for a scan whose points are off by ``noise`` mm, unchanged below ``parameters.noise``.
+
+    The scan's term counts by one over its variance, the smoothness of skin stays what it is (a maximum a posteriori
+    estimate): so the smoothness of the fine step grows with the square of the noise. A node of the graph follows the mean
+    of many points, whose errors cancel: its rigidity grows with the root only, which kept the mesh on the depth (measured).
+    """
+    if noise <= parameters.noise or parameters.noise == 0:
+        return parameters
+    times = noise / parameters.noise
+    rigidity = max(parameters.rigidity_end, min(times**0.5 * parameters.rigidity_end, parameters.rigidity_start))
+    return replace(parameters, rigidity_end=rigidity, detail_smoothness=min(times**2 * parameters.detail_smoothness, 1e4))
 
 
 def _residual(found: ScanCorrespondences) -> float:
@@ -70,12 +93,10 @@ def _residual(found: ScanCorrespondences) -> float:
 
 
 def _search(
-    search: ScanSearch, model: FaceModel, vertices: np.ndarray, parameters: ShrinkWrapParameters
+    search: ScanSearch, model: FaceModel, vertices: np.ndarray, allowed: np.ndarray, parameters: ShrinkWrapParameters
 ) -> ScanCorrespondences:
     normals = vertex_normals(vertices, model.triangles)
-    return search.correspondences(
-        vertices, normals, _wrapped(model), parameters.max_correspondence_distance, parameters.normal_angle
-    )
+    return search.correspondences(vertices, normals, allowed, parameters.max_correspondence_distance, parameters.normal_angle)
 
 
 def _wrapped(model: FaceModel) -> np.ndarray:
@@ -88,7 +109,12 @@ def _wrapped(model: FaceModel) -> np.ndarray:
 
 
 def _coarse(
-    scan: FusedScan, model: FaceModel, vertices: np.ndarray, search: ScanSearch, parameters: ShrinkWrapParameters
+    scan: FusedScan,
+    model: FaceModel,
+    vertices: np.ndarray,
+    search: ScanSearch,
+    allowed: np.ndarray,
+    parameters: ShrinkWrapParameters,
 ) -> tuple[np.ndarray, list[float]]:
     graph = deformation_graph(vertices, model.triangles, parameters.node_spacing)
     carry, rest = carry_matrix(graph, vertices)
@@ -96,7 +122,7 @@ def _coarse(
     unknown = np.tile(np.concatenate([np.eye(3), np.zeros((1, 3))]), (len(graph.nodes), 1))  # (4 G, 3): A^T, t
     history, current = [], vertices
     for round_ in range(parameters.iterations):
-        found = _search(search, model, current, parameters)
+        found = _search(search, model, current, allowed, parameters)
         history.append(_residual(found))
         rigidity = _relaxed(parameters, round_)
         energy = _Energy(unknown.size)

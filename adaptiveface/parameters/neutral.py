@@ -80,6 +80,14 @@ class FitParameters(Stage):
         high=50,
         log=True,
     )
+    hair: float = parameter(
+        4.0,
+        "what stands out farther from the fitted head, and reaches into the face from outside, is hair; 0 keeps it",
+        unit="mm",
+        low=0,
+        high=100,
+        paper=0.0,
+    )
     max_correspondence_distance: float = parameter(
         20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1, high=200
     )
@@ -125,6 +133,14 @@ class ShrinkWrapParameters(Stage):
     )
     detail_iterations: int = parameter(3, "rounds of the fine per-vertex step", section="3", low=0, high=50)
     detail_smoothness: float = parameter(1.0, "smoothness of the fine step", section="3", low=1e-4, high=1e4, log=True)
+    noise: float = parameter(
+        0.07,
+        "a scan with more noise than this is smoothed more, by its square; 0 smooths all alike",
+        unit="mm",
+        low=0,
+        high=10,
+        paper=0.0,
+    )
     max_correspondence_distance: float = parameter(
         8.0, "correspondences farther away are dropped", unit="mm", section="3", low=0.5, high=100
     )

@@ -186,7 +186,8 @@ class FaceTracker(Tracker):
             surface, v1.take(self.region.vertices, axis=0), normals, p.max_correspondence_distance, pose
         )
         matches.weights[~self._may_match] = 0.0
-        occluded = occluded_share(surface, matches.points[::3], normals[::3] @ pose[:3, :3].T, p.max_correspondence_distance)
+        some = np.flatnonzero(self._may_match)[::3]  # what hair covers is hidden for good
+        occluded = occluded_share(surface, matches.points[some], normals[some] @ pose[:3, :3].T, p.max_correspondence_distance)
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
         else:
