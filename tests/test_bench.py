@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adaptiveface.bench import growth, peers, run, run_bench
+from adaptiveface.bench import bandwidth, growth, peers, run, run_bench
 from adaptiveface.bench.decimation import decimated
 from adaptiveface.bench.paper import PAPER_MS, PAPER_SUM_MS
 from adaptiveface.bench.peers import Comparison
@@ -118,6 +118,15 @@ def test_a_model_of_another_size_carries_its_tables_over():
     assert np.linalg.norm(placed - feature_points(model, matrix), axis=1).max() < 0.5
     with pytest.raises(ValueError, match="27764"):
         model_of_size(model, 30_000)
+
+
+def test_what_the_pca_moves_is_counted_and_the_machine_s_rate_measured(recorded):
+    model = recorded.tracker.model
+    size, count = len(model.anchors), model.count
+    moved = bandwidth.learned_step_bytes(model)
+    assert 2 * count * size * 4 < moved < 2 * (count + 2 * model.anchors.shape[1] + 16 * model.correctives.shape[1]) * size * 4
+    assert 1e8 < bandwidth.stream_rate(1) < 1e13
+    assert f"{moved / 1e6:.1f} MB" in bandwidth.traffic_line(model, 1.0)
 
 
 def test_growth_is_judged_against_n_log_n():

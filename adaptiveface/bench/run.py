@@ -16,6 +16,7 @@ from ..model.actor import Actor
 from ..parameters import Parameters
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import STAGE_NAMES
+from .bandwidth import traffic_line
 from .paper import PAPER_MS, PAPER_SUM_MS
 from .peers import INSTALL, Comparison, compare_all, cpu_clock, load_peers, record
 from .scene import bench_scene
@@ -121,10 +122,13 @@ def main(args=None) -> int:
     with threadpool_limits(limits=1):
         actor, scene = bench_scene(frames, progress=bar)
         timings = time_stages(actor, scene)
-        comparisons = compare_all(record(actor, scene, min(RECORDED, frames // 2)))
+        recorded = record(actor, scene, min(RECORDED, frames // 2))
+        comparisons = compare_all(recorded)
+        pca = next(entry for entry in comparisons if entry.stage == "adaptive_pca")
+        traffic = traffic_line(recorded.tracker.model, pca.ours_ms)
     print(
         f"{timings.n_vertices} vertices, {timings.n_frontal} of them frontal; {len(timings.stage_ms)} frames, learning "
         f"on ({timings.learned} of them learned); one BLAS thread{machine_load()}"
     )
-    print(f"\n{stage_table(timings)}\n\n{peer_table(comparisons)}\n\n{verdict(timings, comparisons)}")
+    print(f"\n{stage_table(timings)}\n\n{peer_table(comparisons)}\n\n{verdict(timings, comparisons)}\n{traffic}")
     return 0
