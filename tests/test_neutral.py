@@ -8,11 +8,11 @@ from scenes import CAMERA, exact_actor, head_pose, render_frame
 
 from adaptiveface.errors import TrackingError
 from adaptiveface.geometry.camera import Camera
-from adaptiveface.geometry.frame import Features2D, RgbdFrame
+from adaptiveface.geometry.frame import DetectedFace, Features2D, RgbdFrame
 from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points, transform_points, vertex_normals
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.deformation_graph import carry_matrix, deformation_graph
-from adaptiveface.neutral.features import calibrated_features, constraints_on, feature_constraints
+from adaptiveface.neutral.features import calibrated_features, constraints_on, feature_constraints, neutral_evidence
 from adaptiveface.neutral.fit import ScanSearch, fit_identity
 from adaptiveface.neutral.fuse import FusedScan, fuse_frames, head_box, in_head_frame, most_frontal
 from adaptiveface.neutral.registration import align, depth_view, feature_pose
@@ -21,7 +21,7 @@ from adaptiveface.neutral.shrink_wrap import (
     touching_pairs,
 )
 from adaptiveface.neutral.volume import TsdfVolume
-from adaptiveface.parameters import FusionParameters, ShrinkWrapParameters
+from adaptiveface.parameters import FitParameters, FusionParameters, ShrinkWrapParameters
 
 MODEL = embedded_face_model()
 BOX = head_box(MODEL, 35.0)
@@ -274,6 +274,59 @@ def test_calibration_moves_features_to_where_the_detector_sees_them(actor):
     assert all(tuple(sorted(t)) in known for t in triangles[constraints.seen].tolist())
     same = calibrated_features(constraints, MODEL, actor.neutral, 0.0)
     assert (same[0] == MODEL.feature_triangles).all() and (same[1] == MODEL.feature_weights).all()
+
+
+def with_landmarks(frames, poses, neutral):
+    """The frames as a detector sees a head (V, 3): its landmarks from their places, slid as the head turns."""
+    landmarks, out = MODEL.landmarks, []
+    for frame, pose in zip(frames, poses, strict=True):
+        mesh = np.full((478, 3), np.nan)
+        seen = CAMERA.project(transform_points(pose, landmarks.points(neutral))) + landmarks.slides(pose, CAMERA)
+        mesh[landmarks.ids, :2] = seen
+        out.append(replace(frame, features=replace(frame.features, face=DetectedFace(mesh))))
+    return out
+
+
+def test_the_contour_pulls_only_where_the_head_is_far_from_it(actor):
+    frames, yaw = turning_frames(actor, 5)
+    poses = [head_pose((0, y, 0), (8 * y, 0, 600)) for y in yaw]
+    scan = scan_of(actor.neutral, with_landmarks(frames, poses, actor.neutral), poses)
+    added = slice(40, None)
+    *_, at_home = neutral_evidence(scan, MODEL, actor.neutral, np.eye(3), True)
+    assert len(at_home.seen) > 80 and not at_home.strength[added].any()
+    narrow = actor.neutral.copy()
+    narrow[:, 0] *= np.where(narrow[:, 1] < -20.0, 0.75, 1.0)  # the lower face
+    triangles, weights, pulled = neutral_evidence(scan, MODEL, narrow, np.eye(3), True)
+    points = surface_points(narrow, triangles, weights)
+    force = (pulled.strength[:, None] * (pulled.b - np.einsum("fij,fj->fi", pulled.A, points)))[added]
+    sides = np.abs(points[added, 0]) > 30.0
+    outwards = force[:, 0] * np.sign(points[added, 0])
+    assert outwards[sides & (points[added, 1] < -30.0)].min() >= 0.0 < outwards[sides].max()
+    forty = constraints_on(scan, MODEL, narrow)
+    *_, without = neutral_evidence(scan, MODEL, narrow, np.eye(3), False)
+    assert len(without.seen) == 40 and (without.strength == forty.strength).all()
+    assert (pulled.strength[:40] == forty.strength).all()
+
+
+def test_a_jaw_that_depth_does_not_show_is_found_in_the_picture(actor):
+    """A wide jaw whose sides have no depth, as on sensors that see turned-away skin badly."""
+    wide = actor.neutral.copy()
+    below = np.clip(-(wide[:, 1] + 10.0) / 40.0, 0.0, 1.0)
+    wide[:, 0] *= 1.0 + 0.3 * below
+    poses = [head_pose((0, y, 0), (8 * y, 0, 600)) for y in (-0.3, 0.0, 0.3)]
+    frames = with_landmarks([render_frame(actor, wide, pose) for pose in poses], poses, wide)
+    scan = scan_of(wide, frames, poses)
+    shown = np.abs(scan.points[:, 0]) < 45.0
+    scan = replace(scan, points=scan.points[shown], normals=scan.normals[shown])
+    jaw = MODEL.landmarks.held_out & (MODEL.landmarks.regions == "jaw")
+    off = {}
+    for contour in (False, True):
+        fit = fit_identity(scan, MODEL, FitParameters(contour=contour))
+        vertices = transform_points(fit.scan_from_head, fit.vertices)
+        wrap = shrink_wrap(scan, MODEL, vertices, ShrinkWrapParameters(contour=contour))
+        apart = MODEL.landmarks.points(wrap.vertices)[jaw] - MODEL.landmarks.points(wide)[jaw]
+        off[contour] = np.linalg.norm(apart[:, :2], axis=1).mean()
+    assert off[True] < 0.7 * off[False], off
 
 
 # --- fit -----------------------------------------------------------------------------------------------------------

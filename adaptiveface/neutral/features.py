@@ -23,7 +23,8 @@ class FeatureConstraints:
     """Mean squared distance of each feature to its viewing rays: energy x.A x - 2 b.x + c, in the scan frame, mm^2.
 
     A (40, 3, 3), b (40, 3), c (40,); weights (40,): accumulated confidence over the frames, 0 = never seen; trust in
-    [0, 1]: the highest confidence of any feature, what the source of the features says of itself.
+    [0, 1]: the highest confidence of any feature, what the source of the features says of itself; certainty (40,) in its
+    place where it is known feature by feature.
     """
 
     A: np.ndarray
@@ -31,20 +32,27 @@ class FeatureConstraints:
     c: np.ndarray
     weights: np.ndarray
     trust: float = 1.0
+    certainty: np.ndarray | None = None
 
     @property
     def strength(self) -> np.ndarray:
-        """(40,) what each constraint counts: trust squared, 0 where never seen.
+        """(40,) what each constraint counts: its certainty or else trust squared, 0 where never seen.
 
         A detector errs alike in all neutral frames, so that many frames are no better than one, and what it errs by goes
         into the mesh for good. Squared, because that beat the trust itself (docs, paper-notes).
         """
-        return self.seen * self.trust**2
+        return self.seen * (self.trust**2 if self.certainty is None else self.certainty)
 
     @property
     def seen(self) -> np.ndarray:
         """(40,) bool: the features with a constraint."""
         return self.weights > 0
+
+    def joined(self, other: FeatureConstraints) -> FeatureConstraints:
+        """These constraints, and then those of ``other``."""
+        pairs = ((getattr(self, name), getattr(other, name)) for name in ("A", "b", "c", "weights", "strength"))
+        A, b, c, weights, certainty = (np.concatenate(pair) for pair in pairs)
+        return FeatureConstraints(A, b, c, weights, self.trust, certainty)
 
     def rms(self, points: np.ndarray) -> np.ndarray:
         """(40,) root mean square distance of points (40, 3) in the scan frame to their rays, mm."""
@@ -155,16 +163,11 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
     everybody, so that it goes on measuring. Unchanged for frames that no detector has seen, None for a model without any.
     """
     landmarks = model.landmarks
-    if landmarks is None or not any(features is not None and features.face is not None for features in scan.features):
+    if landmarks is None or not _detected(scan):
         return landmarks
 
-    def landmarks_of(features: Features2D | None, pose: np.ndarray) -> Features2D | None:
-        pixels = None if features is None else landmarks.pixels(features)
-        return None if pixels is None else Features2D(pixels, landmarks.trust(pose))
-
-    seen = tuple(landmarks_of(features, pose) for features, pose in zip(scan.features, scan.poses, strict=True))
-    placed = replace(model, feature_triangles=landmarks.triangles, feature_weights=landmarks.weights)
-    constraints = constraints_on(replace(scan, features=seen), placed, vertices)
+    seen = _landmarks_seen(scan, landmarks)
+    constraints = _landmark_constraints(scan, seen, landmarks, model, vertices)
     count = min(float(sum(features is not None for features in seen)), INDEPENDENT)
     points = landmarks.points(vertices)
     prior = 1.0 / (landmarks.personal[:, None] * [1.0, 1.0, ALONG]) ** 2
@@ -173,6 +176,62 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
     g = evidence[:, None] * constraints.b + prior * (points + landmarks.offset)
     offset = np.linalg.solve(h, g[..., None])[..., 0] - points
     return replace(landmarks, offset=np.where(landmarks.held_out[:, None], landmarks.offset, offset))
+
+
+#: Where the 40 features have no point and a depth camera sees little. Not the forehead, where hair may hide the skin.
+CONTOUR = ("chin", "jaw", "cheeks")
+#: A landmark pulls by what it is off by more than this many of its deviations. Less may be the detector's own idea of a
+#: person's cheek, and the scan, which is better there, must not bend to it.
+TOLERATED = 2.5
+
+#: Triangles (F, 3) and weights (F, 3) of features on the mesh, and their constraints.
+Evidence = tuple[np.ndarray, np.ndarray, FeatureConstraints]
+
+
+def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, rotation: np.ndarray, contour: bool) -> Evidence:
+    """What pictures say of a head at ``vertices`` (V, 3) in the scan frame, turned by ``rotation`` (3, 3) from the head frame.
+
+    The 40 features have no point on chin, jaw and cheeks, and skin that is turned away from the camera has little depth:
+    real heads got the average person's jaw. With ``contour`` the detector's landmarks there are added, where it has seen
+    the frames and the model has them.
+    """
+    features = constraints_on(scan, model, vertices)
+    own = model.feature_triangles, model.feature_weights, features
+    if not contour or model.landmarks is None or not _detected(scan):
+        return own
+    landmarks = model.landmarks.select(~model.landmarks.held_out & np.isin(model.landmarks.regions, CONTOUR))
+    if not len(landmarks):
+        return own
+    found = _landmark_constraints(scan, _landmarks_seen(scan, landmarks), landmarks, model, vertices)
+    offset = landmarks.offset @ rotation.T
+    # x + offset is seen: (x + o).A (x + o) - 2 b.(x + o) has the gradient of x.A x - 2 (b - A o).x.
+    found = replace(found, b=found.b - np.einsum("fij,fj->fi", found.A, offset))
+    deviation = np.sqrt(landmarks.personal**2 + landmarks.deviations(0.0) ** 2)
+    off = np.linalg.norm(np.einsum("fij,fj->fi", found.A, landmarks.points(vertices)) - found.b, axis=1)
+    beyond = np.clip(1.0 - TOLERATED * deviation / np.maximum(off, 1e-9), 0.0, None)
+    found = replace(found, certainty=beyond / deviation**2)
+    triangles = np.concatenate([model.feature_triangles, landmarks.triangles])
+    return triangles, np.concatenate([model.feature_weights, landmarks.weights]), features.joined(found)
+
+
+def _detected(scan: FusedScan) -> bool:
+    return any(features is not None and features.face is not None for features in scan.features)
+
+
+def _landmarks_seen(scan: FusedScan, landmarks: FeatureSet) -> list[Features2D | None]:
+    """The landmarks in every frame of the scan, with their inverse variances as confidence."""
+    seen: list[Features2D | None] = []
+    for features, pose in zip(scan.features, scan.poses, strict=True):
+        pixels = None if features is None else landmarks.pixels(features)
+        seen.append(None if pixels is None else Features2D(pixels, landmarks.trust(pose)))
+    return seen
+
+
+def _landmark_constraints(
+    scan: FusedScan, seen: list[Features2D | None], landmarks: FeatureSet, model: FaceModel, vertices: np.ndarray
+) -> FeatureConstraints:
+    placed = replace(model, feature_triangles=landmarks.triangles, feature_weights=landmarks.weights)
+    return constraints_on(replace(scan, features=tuple(seen)), placed, vertices)
 
 
 def surface_patch(triangles: np.ndarray, vertices: np.ndarray, start: np.ndarray, home: np.ndarray, limit: float) -> np.ndarray:

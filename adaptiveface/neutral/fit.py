@@ -15,7 +15,7 @@ from ..errors import TrackingError
 from ..geometry.mesh import rotation_vector_matrix, surface_points, transform_points, vertex_areas, vertex_normals
 from ..model.face_model import FaceModel
 from ..parameters import FitParameters
-from .features import FeatureConstraints, constraints_on
+from .features import Evidence, constraints_on, neutral_evidence
 from .fuse import FusedScan
 
 DEFAULTS = FitParameters()
@@ -84,7 +84,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     identity, pose = np.zeros(modes), np.eye(4)
     area = vertex_areas(model.mean, model.triangles)
     history, reach = [], parameters.max_correspondence_distance
-    found = constraints = None
+    found = evidence = None
     for iteration in range(parameters.iterations):
         used = _modes_now(iteration, modes)
         vertices, normals = _posed(model, identity, pose)
@@ -94,9 +94,9 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
                 f"the face model meets the neutral scan in {len(found.vertices)} points only: the scan does not show a "
                 "face where the 2D features see one"
             )
-        constraints = constraints_on(scan, model, vertices)
+        evidence = neutral_evidence(scan, model, vertices, pose[:3, :3], parameters.contour)
         history.append(float(np.median(np.abs(found.distances))))
-        step, change = _step(model, identity, pose, used, found, constraints, area, parameters)
+        step, change = _step(model, identity, pose, used, found, evidence, area, parameters)
         pose, identity = step @ pose, identity + change
         reach = float(np.clip(6 * 1.4826 * history[-1], 4.0, parameters.max_correspondence_distance))
     vertices, normals = _posed(model, identity, pose)
@@ -132,7 +132,7 @@ def _step(
     pose: np.ndarray,
     used: int,
     found: ScanCorrespondences,
-    constraints: FeatureConstraints,
+    evidence: Evidence,
     area: np.ndarray,
     parameters: FitParameters,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -150,7 +150,7 @@ def _step(
     shape = sum(model.identity_modes[:used, found.vertices, d] * back[:, d] for d in range(3)).T
     rows = np.concatenate([rigid, shape], axis=1)
     lhs, rhs = rows.T @ (rows * weight[:, None]), -rows.T @ (weight * found.distances)
-    _add_features(lhs, rhs, model, vertices, pose[:3, :3], centre, constraints, parameters)
+    _add_features(lhs, rhs, model, vertices, pose[:3, :3], centre, evidence, parameters)
     prior = np.arange(6, 6 + used)
     lhs[prior, prior] += 1.0
     rhs[prior] -= identity[:used]
@@ -171,13 +171,14 @@ def _add_features(
     vertices: np.ndarray,
     rotation: np.ndarray,
     centre: np.ndarray,
-    constraints: FeatureConstraints,
+    evidence: Evidence,
     parameters: FitParameters,
 ) -> None:
     """Point-to-ray rows of the 2D features, added to the normal equations in place."""
-    points = surface_points(vertices, model.feature_triangles, model.feature_weights)
-    modes = model.identity_modes[: len(lhs) - 6, model.feature_triangles] @ rotation.T
-    shape = np.einsum("fk,mfkj->fjm", model.feature_weights, modes)
+    triangles, weights, constraints = evidence
+    points = surface_points(vertices, triangles, weights)
+    modes = model.identity_modes[: len(lhs) - 6, triangles] @ rotation.T
+    shape = np.einsum("fk,mfkj->fjm", weights, modes)
     x, y, z = (points - centre).T
     zero = np.zeros_like(x)
     spin = np.stack([np.stack(r, axis=1) for r in ([zero, z, -y], [-z, zero, x], [y, -x, zero])], axis=1)

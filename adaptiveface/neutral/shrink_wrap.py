@@ -26,7 +26,7 @@ from .deformation_graph import (
     smoothness_rows,
     step_square,
 )
-from .features import FeatureConstraints, constraints_on
+from .features import Evidence, FeatureConstraints, neutral_evidence
 from .fit import ScanCorrespondences, ScanSearch
 from .fuse import FusedScan
 
@@ -127,7 +127,8 @@ def _coarse(
         rigidity = _relaxed(parameters, round_)
         energy = _Energy(unknown.size)
         _add_scan(energy, carry, found, vertex_areas(vertices, model.triangles)[found.vertices])
-        _add_features(energy, carry, model, current, constraints_on(scan, model, current), parameters)
+        evidence = neutral_evidence(scan, model, current, np.eye(3), parameters.contour)
+        _add_features(energy, carry, current, evidence, parameters)
         for rows, constant, weight, relaxes in fixed:
             energy.add(
                 sp.kron(rows, sp.identity(3), format="csr"),
@@ -192,15 +193,14 @@ def _add_scan(energy: _Energy, carry: sp.csr_matrix, found: ScanCorrespondences,
 def _add_features(
     energy: _Energy,
     carry: sp.csr_matrix,
-    model: FaceModel,
     current: np.ndarray,
-    constraints: FeatureConstraints,
+    evidence: Evidence,
     parameters: ShrinkWrapParameters,
 ) -> None:
     """E_fit, the 2D features: mean squared distances to the viewing rays."""
-    count = len(model.feature_triangles)
-    index = np.repeat(np.arange(count), 3), model.feature_triangles.ravel()
-    pick = sp.csr_matrix((model.feature_weights.ravel(), index), (count, carry.shape[0]))
+    triangles, weights, constraints = evidence
+    index = np.repeat(np.arange(len(triangles)), 3), triangles.ravel()
+    pick = sp.csr_matrix((weights.ravel(), index), (len(triangles), carry.shape[0]))
     strength = (parameters.feature_weight * constraints.strength)[:, None, None]
     weight = sp.block_diag(list(strength * constraints.A), format="csr")
     energy.add(sp.kron(pick @ carry, sp.identity(3), format="csr"), _to_rays(pick @ current, constraints), weight)

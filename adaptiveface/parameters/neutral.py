@@ -88,6 +88,12 @@ class FitParameters(Stage):
         high=100,
         paper=0.0,
     )
+    contour: bool = parameter(
+        True,
+        "the detector's landmarks on chin, jaw and cheeks count where the head is far from them",
+        section="3",
+        paper=False,
+    )
     max_correspondence_distance: float = parameter(
         20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1, high=200
     )
@@ -119,6 +125,12 @@ class ShrinkWrapParameters(Stage):
     )
     feature_weight: float = parameter(
         2.0, "weight of a 2D feature against one scan correspondence", section="3", low=0, high=1000, log=True
+    )
+    contour: bool = parameter(
+        True,
+        "the detector's landmarks on chin, jaw and cheeks count where the head is far from them",
+        section="3",
+        paper=False,
     )
     feature_shift: float = parameter(
         4.0,
