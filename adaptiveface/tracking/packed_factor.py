@@ -40,7 +40,7 @@ class PackedFactor:
     lower : (n, n) sparse, compressed columns
         G, its unit diagonal included.
     diagonal : (n,)
-        D.
+        The diagonal of D.
     order : (n,) int
         Vertex i is row ``order[i]`` of G.
     """
