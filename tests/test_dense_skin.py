@@ -17,7 +17,7 @@ from adaptiveface.neutral.skin import LIDS, gather_skin
 from adaptiveface.parameters import Parameters
 from adaptiveface.registration.association import Correspondences
 from adaptiveface.synthetic.sensor import SyntheticSensor
-from adaptiveface.tracking import dense_skin
+from adaptiveface.tracking import skin_light, skin_samples
 from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation
 from adaptiveface.tracking.skin_term import SkinTerm
 from adaptiveface.tracking.tracker import FaceTracker
@@ -104,41 +104,53 @@ def test_it_is_saved_with_the_actor_and_checked(actor, tmp_path):
 def test_rows_are_those_of_explicit_sums():
     """A few triangles before a random picture: M and the pull against SciPy's interpolation and matrix products."""
     rng = np.random.default_rng(3)
-    picture, gu, gv = rng.uniform(0, 40, (3, 60, 80, 3)).astype(np.float32)
+    images = tuple(rng.uniform(0, 40, (3, 60, 80, 3)).astype(np.float32))
     vertices = np.array([0.0, 0, 600]) + rng.uniform(-20, 20, (12, 3))
     triangles = np.array([sorted(rng.choice(12, 3, replace=False)) for _ in range(20)])
     facing = (triangle_normals(vertices, triangles) * vertices[triangles[:, 0]]).sum(axis=1) < 0
     triangles[~facing] = triangles[~facing][:, ::-1]
     shares = rng.dirichlet(np.ones(3), 20)
-    variances = rng.uniform(9, 30, (20, 3))
-    rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    points, normals, counts = dense_skin._carry(vertices, triangles, shares, np.ones(12, bool), 600.0)
-    lens = (500.0, 510.0, 40.0, 30.0)
+    rotation, lens = np.linalg.qr(rng.standard_normal((3, 3)))[0], (500.0, 510.0, 40.0, 30.0)
+    points, normals, counts = skin_samples.carry(vertices, triangles, shares, np.ones(12, bool), 600.0)
+    values, along_u, along_v = skin_samples.look_up(images, points, lens, counts)
     np.testing.assert_allclose(points, surface_points(vertices, triangles, shares))
     x, y, z = points.T
     at = np.stack([510.0 * y / z + 30.0, 500.0 * x / z + 40.0])
-    value, du, dv = (np.stack([map_coordinates(m[..., c], at, order=1) for c in range(3)], axis=1) for m in (picture, gu, gv))
-    colours = value + rng.normal(0, [1.0, 6.0, 0.0], (20, 3))  # found again, half found again, lost
-    colours[:, 2] = rng.uniform(18, 22, 20)
-    matrices, forces = dense_skin._normal_equations(
-        (picture, gu, gv), points, normals, counts, colours, variances, rotation, lens, 0.7
-    )
+    seen = counts > 0
+    assert 5 < seen.sum() < 20
+    for found, image in zip((values, along_u, along_v), images, strict=True):
+        looked_up = np.stack([map_coordinates(image[..., c], at, order=1) for c in range(3)], axis=1)
+        np.testing.assert_allclose(found, np.where(seen[:, None], looked_up, 0.0), rtol=1e-4, atol=1e-4)
 
-    residual, share = value - colours, counts[:, None] / variances
-    left = (share * residual**2).sum(axis=0)
-    there = (share * (colours - (share * colours).sum(axis=0) / share.sum(axis=0)) ** 2).sum(axis=0)
-    low, high = dense_skin.EXPLAINED
-    trust = np.clip((1 - left / there - low) / (high - low), 0, 1)
-    trust *= np.clip((1 - left.sum() / there.sum() - low) / (high - low), 0, 1)
-    assert trust[0] > trust[1] > trust[2] == 0.0
-    variance = np.maximum(left / counts.sum(), 1.0) * variances
-    weight = 0.7 * trust * counts[:, None] / (variance * (1 + residual**2 / (3 * variance)) ** 2)
+    residuals, weights = rng.normal(0, 5, (20, 3)), rng.uniform(0, 1, (20, 3)) * seen[:, None]
+    matrices, forces = skin_samples.normal_equations(residuals, weights, along_u, along_v, points, normals, rotation, lens)
     rays = np.stack([500.0 * np.stack([1 / z, 0 * z, -x / z**2], 1), 510.0 * np.stack([0 * z, 1 / z, -y / z**2], 1)], axis=1)
-    rows = du[..., None] * rays[:, None, 0] + dv[..., None] * rays[:, None, 1]
+    rows = along_u[..., None] * rays[:, None, 0] + along_v[..., None] * rays[:, None, 1]
     rows -= (rows * normals[:, None]).sum(axis=2, keepdims=True) * normals[:, None]
     rows = rows @ rotation
-    np.testing.assert_allclose(matrices, np.einsum("qc,qci,qcj->qij", weight, rows, rows), rtol=1e-4, atol=1e-9)
-    np.testing.assert_allclose(forces, -np.einsum("qc,qc,qci->qi", weight, residual, rows), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(matrices, np.einsum("qc,qci,qcj->qij", weights, rows, rows), atol=1e-9)
+    np.testing.assert_allclose(forces, -np.einsum("qc,qc,qci->qi", weights, residuals, rows), atol=1e-9)
+
+
+def test_light_is_found_among_outliers_and_noise_is_not_believed():
+    rng = np.random.default_rng(6)
+    colours = rng.normal(0, [12.0, 14.0, 5.0], (2000, 3))
+    normals = rng.standard_normal((2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = np.column_stack([[0.8, 1.1, 1.0], rng.normal(0, 4, (3, 4))])
+    values = skin_light.in_light(light, colours, normals) + rng.normal(0, 1, (2000, 3))
+    values[:200] += 60.0  # another thing before a tenth of the face
+    weights = np.full((2000, 3), 0.1)
+    found = skin_light.fit_light(values, colours, normals, weights)
+    np.testing.assert_allclose(found[:, 0], light[:, 0], atol=0.03)
+    np.testing.assert_allclose(found[:, 1:], light[:, 1:], atol=0.7)
+
+    def believed(values):
+        expected = skin_light.in_light(skin_light.fit_light(values, colours, normals, weights), colours, normals)
+        return skin_light.trust(values - expected, expected, weights)
+
+    np.testing.assert_array_equal(believed(colours + rng.normal(0, 1, (2000, 3))), 1.0)
+    np.testing.assert_array_equal(believed(rng.normal(0, 10, (2000, 3))), 0.0)
 
 
 def test_conjugate_gradients_reach_the_minimum_of_depth_and_colour():
@@ -196,6 +208,14 @@ def test_a_light_that_is_off_tells_nothing(sensor, actor, frames):
     rng = np.random.default_rng(0)
     dark = [replace(frame, colour=rng.integers(0, 3, frame.colour.shape).astype(np.uint8)) for frame in frames[:3]]
     np.testing.assert_array_equal(v2_of(actor, dark, ON)[-1], v2_of(actor, frames[:3], OFF)[-1])
+
+
+def test_another_exposure_and_white_balance_change_little(actor, frames):
+    """Half the light, and a bluer one: v2 stays within a fraction of what the colours moved it by."""
+    other = [replace(frame, colour=(frame.colour * np.array([0.4, 0.5, 0.6])).astype(np.uint8)) for frame in frames[:6]]
+    same, moved, without = (v2_of(actor, f, p)[-1] for f, p in ((frames[:6], ON), (other, ON), (frames[:6], OFF)))
+    change, gain = (np.linalg.norm(mesh - same, axis=1)[actor.frontal] for mesh in (moved, without))
+    assert np.mean(change) < 0.35 * np.mean(gain)
 
 
 def test_late_and_frozen_colour_does_no_harm(sensor, actor, frames):

@@ -315,8 +315,8 @@ class SkinParameters(Stage):
     spacing: float = parameter(
         1.5, "distance between the samples from which the most telling are kept", unit="mm", low=0.5, high=10
     )
-    samples: int = parameter(2000, "samples that are followed, the most telling first", low=10, high=8000)
-    weight: float = parameter(1.0, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
+    samples: int = parameter(4000, "samples that are followed, the most telling first", low=10, high=8000)
+    weight: float = parameter(0.5, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
     noise: float = parameter(4.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
-    rounds: int = parameter(2, "times that the colours are linearised", low=1, high=20)
+    rounds: int = parameter(1, "times that the colours are linearised", low=1, high=20)
     cg_iterations: int = parameter(3, "preconditioned conjugate-gradient iterations of a round", low=1, high=50)
