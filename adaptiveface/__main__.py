@@ -1,4 +1,4 @@
-"""``python -m adaptiveface``."""
+"""Run the command line as ``python -m adaptiveface``."""
 
 import sys
 

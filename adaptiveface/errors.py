@@ -1,4 +1,4 @@
-"""Errors of the package: each message names the file or value, the reason, and the way out.
+"""Define the errors of the package, whose messages name the file or value, the reason, and the way out.
 
 The command line turns any :class:`AdaptiveFaceError` into one line on stderr and exit status 2.
 """

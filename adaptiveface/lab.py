@@ -1,4 +1,4 @@
-"""``adaptiveface lab``: JupyterLab on a writable copy of the notebooks, on this machine only.
+"""Start JupyterLab on a writable copy of the notebooks, on this machine only.
 
 The copy belongs to the learner: a notebook that was changed is never overwritten, one that was not follows the package.
 Everything JupyterLab needs is set for this one process (environment and command line); nothing is written outside the

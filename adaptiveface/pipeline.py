@@ -1,4 +1,4 @@
-"""The run loop: frames from a source, features from the source or the detector, one tracked result per frame.
+"""Run the whole method: read frames, find their features, track them, and collect one result per frame.
 
 This is where sensors, detector, capture and tracking meet; none of them knows the others. Broken frames are skipped and
 counted, they never reach the tracker.
@@ -20,10 +20,10 @@ from tqdm import tqdm
 from .errors import FrameError, TrackingError
 from .geometry.frame import Features2D, RgbdFrame
 from .geometry.mesh import surface_points
+from .insides.gaze import GazeTrack
 from .landmarks import FeatureDetector, Upright
 from .model.actor import Actor
 from .model.face_model import FaceModel, embedded_face_model
-from .model.gaze import GazeTrack
 from .neutral.capture import capture_actor
 from .neutral.colour import capture_colour
 from .neutral.plausible import SizeWatch

@@ -1,4 +1,4 @@
-"""Names that were changed, and the old ones, which work for one more version with a ``DeprecationWarning``.
+"""Keep old names working for one more version, with a ``DeprecationWarning``.
 
 One table is for classes (parameters, keywords and attributes), one for names in modules, one for modules. A name in a file
 (``rigid`` in ``result.npz``, the parameters stored there) is no name of the program: files keep theirs and are read without
@@ -54,7 +54,7 @@ OLD_MODULES = {
         "face_model": "model.face_model",
         "feature_set": "model.feature_set",
         "frame": "geometry.frame",
-        "gaze": "model.gaze",
+        "gaze": "insides.gaze",
         "interrupt": "runtime.interrupt",
         "mesh": "geometry.mesh",
         "npz": "files.npz",

@@ -17,10 +17,10 @@ import numpy as np
 from adaptiveface.geometry.frame import MEDIAPIPE_INDICES, Features2D
 from adaptiveface.geometry.mesh import transform_points
 from adaptiveface.insides import make_insides
+from adaptiveface.insides.gaze import GazeEstimator
 from adaptiveface.landmarks import FeatureDetector
 from adaptiveface.livelink import ARKIT_NAMES
 from adaptiveface.model.face_model import embedded_face_model
-from adaptiveface.model.gaze import GazeEstimator
 from adaptiveface.synthetic import paint
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.synthetic.take import Take, read_take

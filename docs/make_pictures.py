@@ -13,8 +13,8 @@ import numpy as np  # noqa: E402
 from adaptiveface.evaluation.metrics import surface_distance  # noqa: E402
 from adaptiveface.geometry.mesh import transform_points  # noqa: E402
 from adaptiveface.insides import make_insides  # noqa: E402
+from adaptiveface.insides.gaze import GazeEstimator  # noqa: E402
 from adaptiveface.landmarks.irises import WithIrises  # noqa: E402
-from adaptiveface.model.gaze import GazeEstimator  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
 from adaptiveface.pipeline import capture_from, one_blas_thread  # noqa: E402
 from adaptiveface.report.pictures import (  # noqa: E402

@@ -6,6 +6,7 @@ of that name in ``PARTS`` returns.
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from collections.abc import Callable
@@ -16,7 +17,32 @@ from adaptiveface.model.actor import Actor
 from adaptiveface.result import Result
 
 DOCS = Path(__file__).resolve().parent
+sys.path[:0] = [str(DOCS), str(DOCS.parent / "tests")]
+from frame_walk import frame_walk  # noqa: E402
+from test_architecture import FLOORS, PACKAGE, files, place, places_of  # noqa: E402
+
+
+def floors() -> str:
+    """The table of the packages by floor, from the top, with the first sentence of each one's docstring and its imports."""
+    rows = ["| floor | package | responsibility | imports from |", "|---|---|---|---|"]
+    for floor, names in reversed(FLOORS.items()):
+        for name in sorted(names):
+            below = sorted(set().union(*(places_of(path) for path in files() if place(path) == name)))
+            rows.append(f"| {floor} | `{name}` | {sentence(name)} | {', '.join(below)} |")
+            floor = ""
+    return "\n".join(rows)
+
+
+def sentence(name: str) -> str:
+    """The first sentence of a package's or module's docstring, as Markdown."""
+    path = PACKAGE / name / "__init__.py" if (PACKAGE / name).is_dir() else PACKAGE / f"{name}.py"
+    text = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n\n")[0].replace("\n", " ")
+    return re.sub(r":\w+:`[~.]*([^`]+)`", r"`\1`", text.replace("``", "`")).replace("|", r"\|")
+
+
 PARTS: dict[str, Callable[[], str]] = {
+    "floors": floors,
+    "frame walk": lambda: "```text\n" + "\n".join(frame_walk()) + "\n```",
     "actor.npz": lambda: table(Actor),
     "result.npz": lambda: table(Result),
 }

@@ -15,12 +15,12 @@ from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import IRIS_CENTRES, DetectedFace, Features2D, RgbdFrame
 from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points, transform_points
 from adaptiveface.insides import make_insides
+from adaptiveface.insides.gaze import GazeEstimator, GazeTrack
 from adaptiveface.insides.head import gaze_rotation
 from adaptiveface.insides.parts import CORNEA
 from adaptiveface.landmarks.irises import WithIrises
 from adaptiveface.livelink import ARKIT_NAMES
 from adaptiveface.livelink.convention import eye_angles, eyes_of_gaze, with_look
-from adaptiveface.model.gaze import GazeEstimator, GazeTrack
 from adaptiveface.result import Result
 from adaptiveface.retargeting.retarget import retarget
 

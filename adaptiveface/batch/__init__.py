@@ -1,4 +1,4 @@
-"""Many recordings at once: capture, track, score and export each of them, and one table of all.
+"""Process many recordings at once: capture, track, score and export each of them, and collect the results in tables.
 
     from adaptiveface.batch import Batch, find_sources
     Batch(find_sources("recordings"), "results").run()

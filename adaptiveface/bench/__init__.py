@@ -1,4 +1,4 @@
-"""Timings of the tracker's stages, beside the paper's figures (:mod:`.paper`) and beside peers (:mod:`.peers`)."""
+"""Measure how long each stage takes, beside the paper's figures (:mod:`.paper`) and peers (:mod:`.peers`)."""
 
 
 def run_bench(args=None) -> int:

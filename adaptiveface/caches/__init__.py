@@ -1,4 +1,4 @@
-"""Where files are kept that can be made again: compiled code, the detector's model, the notebooks' performance."""
+"""Keep files that can be made again: compiled code, the detector's model, the performance that the notebooks render."""
 
 from .folders import cache_folder, cache_folders, writable
 

@@ -1,4 +1,4 @@
-"""The command line: ``adaptiveface demo | capture | track | live | ...``; one function pair per command, by what it is for.
+"""Read the command line (``adaptiveface demo | capture | track | live | ...``) and call what it asks for.
 
 Thin: every command is a few calls of the package. Anything the user can act on ends as one line on stderr and exit
 status 2; Ctrl-C ends with 130 after saving what was done, SIGTERM likewise with 143.

@@ -1,4 +1,4 @@
-"""``adaptiveface doctor``: what is installed, what works, and what to do about the rest."""
+"""Check the installation for ``adaptiveface doctor``: what is there, what works, and how to mend the rest."""
 
 from __future__ import annotations
 

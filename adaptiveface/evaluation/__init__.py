@@ -1,4 +1,4 @@
-"""Error against ground truth, per stage, region and performance; the curves of figure 11; the ablations of figure 5.
+"""Score results against ground truth by stage, region and performance: figure 11's curves, figure 5's ablations.
 
 Nothing here is needed for tracking. :mod:`.metrics` holds the measures as functions of arrays, :mod:`.run` scores.
 """

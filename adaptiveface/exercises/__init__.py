@@ -1,4 +1,4 @@
-"""Exercises: write a core function of the method, have it graded in words, and watch the tracker run on it.
+"""Let a learner write a core function of the method, grade it in words, and run the tracker on it.
 
     from adaptiveface import exercises
     exercises.POINT_TO_PLANE_STEP.check(my_function)

@@ -1,1 +1,1 @@
-"""What becomes of a tracked performance: result files, animated characters, curves, video, streams."""
+"""Write a tracked performance for other programs: animated characters, curves, video, streams."""

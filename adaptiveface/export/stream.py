@@ -10,10 +10,10 @@ import numpy as np
 
 from ..errors import AdaptiveFaceError, MissingExtraError, ParameterError
 from ..geometry.frame import RgbdFrame
+from ..insides.gaze import GazeTrack
 from ..livelink.convention import eyes_of_gaze, with_look
 from ..livelink.packet import LiveLinkFrame, encode
 from ..model.actor import Actor
-from ..model.gaze import GazeTrack
 from ..parameters import BlendshapeParameters
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.arkit_resolve import ArkitResolve

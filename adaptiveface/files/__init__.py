@@ -1,4 +1,4 @@
-"""Files as they come and go: writing that leaves the old file or the whole new one, reading that is bounded."""
+"""Read files within limits, and write them so that either the old file or the whole new one is there."""
 
 from .archive import Archive
 from .atomic import reason, replacing, replacing_folder

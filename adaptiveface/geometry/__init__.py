@@ -1,1 +1,1 @@
-"""Cameras, frames and meshes: what a picture measures, where a point lies, what a mesh looks like from somewhere."""
+"""Cameras, frames and meshes: project and back-project points, measure surfaces, draw them."""

@@ -1,4 +1,4 @@
-"""Importers of face models that people already have, each as a :class:`FaceModel` on the model's own mesh.
+"""Read face models that people already have, each as a :class:`FaceModel` on the model's own mesh.
 
 ==================  =====================================  =====================================================
 model               file                                   expressions

@@ -1,4 +1,4 @@
-"""What the tracked mesh lacks: eyeballs, teeth, tongue and the dark of the mouth, for exports and pictures."""
+"""Add to the tracked mesh what it lacks: eyeballs, teeth, a tongue and the dark of the mouth."""
 
 from .head import Insides, make_insides, moved, placed
 

@@ -1,4 +1,4 @@
-"""2D facial features on colour images: MediaPipe's face mesh, reduced to the 40 features of the method."""
+"""Find 2D facial features in colour images with MediaPipe's face mesh, reduced to the method's 40 features."""
 
 from .detector import FeatureDetector
 from .model_file import face_landmarker_file

@@ -1,4 +1,4 @@
-"""Live capture: guided neutral scan, features and tracking in threads of their own; every lost frame is counted."""
+"""Capture live: a guided neutral scan, then features and tracking in their own threads, which count every lost frame."""
 
 from .feed import FeatureFeed
 from .session import LiveResult, LiveSession, LiveStatistics

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from ..errors import ParameterError, TrackingError
 from ..files import check_distinct, check_new_folder, check_output
+from ..insides.gaze import GazeTrack
 from ..livelink.receiver import is_livelink
 from ..model.actor import Actor
-from ..model.gaze import GazeTrack
 from ..parameters import Parameters
 from ..result import ResultBuilder
 from ..result.rows import discard, unfinished_folder

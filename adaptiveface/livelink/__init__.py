@@ -1,4 +1,4 @@
-"""Curves as iPhones send and store them: ARKit's 52 face shapes, head and eye rotations, in Live Link Face's conventions.
+"""Speak Live Link Face's conventions: ARKit's 52 face shapes, head and eye rotations, as iPhones send and store them.
 
 ``convention`` is the one place that holds signs, axes and units. ``take`` reads and writes Live Link Face's CSV,
 ``packet`` its datagrams, ``receiver`` listens to them.

@@ -1,1 +1,1 @@
-"""What is known about faces before and after meeting one: the statistical model, a person's rig, features on both."""
+"""Hold what is known about faces: the statistical model of all heads, the rig of one person, the features on both."""

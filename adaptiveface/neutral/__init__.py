@@ -1,1 +1,1 @@
-"""Section 3: capture of the neutral face. Fusion of depth frames, identity fit, shrink-wrap."""
+"""Capture the neutral face (section 3): fuse depth frames, fit the identity, wrap the model onto the scan."""

@@ -1,4 +1,4 @@
-"""Every parameter of the method, once: default, unit, range, source in the paper.
+"""Define every parameter of the method once, with its default, unit, range and source in the paper.
 
 A field makes the default, the command line's ``--set stage.name=value``, the slider of the notebooks and the table in the
 docs. ``Parameters()`` holds our defaults, ``Parameters.paper()`` the nearest working reading of the paper: its values, and

@@ -1,1 +1,1 @@
-"""A depth map as a surface, and the rigid alignment of a shape with it: surface, association, step, ICP."""
+"""Treat a depth map as a surface, and align a shape with it: association, point-to-plane step, ICP."""

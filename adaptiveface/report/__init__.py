@@ -1,4 +1,4 @@
-"""The report of a run: one self-contained ``report.html`` with pictures, animation, learning, errors and timings.
+"""Write the report of a run: one ``report.html`` with pictures, animation, learning, errors and timings.
 
 It needs no network, no display and no script; everything is inline, and it follows the reader's light or dark theme.
 """

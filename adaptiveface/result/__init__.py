@@ -1,4 +1,4 @@
-"""What a tracked performance leaves behind: entries as they come (``rows``), the whole (``Result``), ways to look into it."""
+"""Hold what tracking leaves behind: rows while it runs (:mod:`.rows`), the whole :class:`Result`, ways to look into it."""
 
 from .result import COLOUR_ONLY, MESHES, Result, ResultBuilder
 

@@ -1,4 +1,4 @@
-"""Driving other faces with a tracked performance (paper, section 6): characters, ARKit weights, correctives."""
+"""Drive other faces with a tracked performance (section 6): characters, ARKit weights, correctives."""
 
 #: Built-in characters, made by ``data_synth/build_characters.py`` from the assets of the embedded face model.
 BUILT_IN = ("baby", "hag", "ogre")

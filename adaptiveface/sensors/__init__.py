@@ -1,4 +1,4 @@
-"""Where frames come from: recordings on disk, the synthetic sensor, live sensors.
+"""Provide frames: recordings on disk, the synthetic sensor, live sensors.
 
 :func:`open_sensor` opens a live sensor, whose ``read`` waits for the newest frame. A source has numbered frames, and
 all have the same small interface, :class:`FrameSource`; :func:`open_source` turns the text that a user typed

@@ -1,4 +1,4 @@
-"""The paper's figures, drawn again from synthetic performances: with ``Parameters.paper()``, and with our defaults.
+"""Draw the paper's figures again from synthetic performances, with ``Parameters.paper()`` and with our defaults.
 
 >>> from adaptiveface.studies import paper_figure
 >>> paper_figure(11).save("figures")  # doctest: +SKIP

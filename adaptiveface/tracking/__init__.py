@@ -1,1 +1,1 @@
-"""Sections 4 and 5: the real-time tracker and its stages."""
+"""Track a face in real time (sections 4 and 5): the tracker and its stages."""

@@ -1,4 +1,4 @@
-"""Panels and pictures for the notebooks; the only package that imports ipywidgets.
+"""Show in notebooks what other packages compute; this is the only package that imports ipywidgets.
 
 Needs the extra ``notebooks``. :func:`load_session` gives a performance, :class:`StageExplorer` puts a stage on show, and
 the studies (:mod:`.laplacian_study` and its neighbours) hold what one notebook alone needs.

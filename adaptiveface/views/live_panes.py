@@ -8,10 +8,10 @@ import ipywidgets as widgets
 import numpy as np
 
 from ..geometry.mesh import surface_points, transform_points, vertex_normals
+from ..insides.gaze import GazeTrack
 from ..live.session import LiveResult
 from ..model.actor import Actor
 from ..model.face_model import embedded_face_model
-from ..model.gaze import GazeTrack
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import load_character
 from ..retargeting.portrait import FACING, portrait

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..batch import completed, dask_client
 from ..evaluation.ablation import VARIANTS, Variant
-from ..model.gaze import GazeEstimator
+from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
 from .charts import GridChart
 from .face_view import FaceView

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import ParameterError
 from ..geometry.frame import RgbdFrame
 from ..geometry.polydata import correctives, surface
-from ..model.gaze import GazeEstimator
+from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame

@@ -13,9 +13,9 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_IDS, Features2D
 from ..geometry.mesh import surface_points, transform_points
-from ..insides import make_insides
-from ..insides.parts import CORNEA
-from .actor import Actor
+from ..model.actor import Actor
+from . import make_insides
+from .parts import CORNEA
 
 #: iBUG numbers of the corners, and pairs of upper and lower lid, by eye.
 _CORNERS = ((42, 45), (36, 39))
