@@ -123,15 +123,38 @@ def capture_from(
     model: FaceModel | None = None,
     on_take: Callable[[NeutralTake], None] | None = None,
 ) -> Actor:
-    """Capture the neutral face shown by ``source`` (paper, section 3).
+    """Capture the neutral face that a source shows (section 3).
 
-    ``neutral_frames``: how many of the leading frames in which a face is found, or where these are turned away or moving,
-    of the calmest ones near the beginning (:mod:`~adaptiveface.neutral.choice`), which is said; a range: these very
-    frames; None: all frames, at most ``MAX_NEUTRAL_FRAMES`` of them, spread evenly. From a source without depth
-    (``colour_only``) comes the average head with the person's proportions, of frames from all over it unless a range names
-    them: none need be neutral (``neutral/colour.py``). ``model``: the embedded one by default. ``progress`` shows bars on
-    stderr. ``on_take`` is told which frames were taken. Raises :class:`TrackingError` when no face is found, and its kind
-    :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` for a head that is no person's.
+    Parameters
+    ----------
+    source : FrameSource
+        Without depth (``colour_only``), the result is the average head with the person's proportions. It is then fitted to
+        frames from all over the source, none of which need be neutral, unless ``neutral_frames`` is a range.
+    parameters : Parameters, optional
+        Our defaults without.
+    neutral_frames : int, range or None
+        A number: so many of the leading frames that show a face. If these are turned away or moving, calmer ones near the
+        beginning take their place (:mod:`~adaptiveface.neutral.choice`), and a note says so. A range: these very frames.
+        None: all frames, or ``MAX_NEUTRAL_FRAMES`` that are spread evenly.
+    detector : FeatureDetector, optional
+        Finds 2D features where the source brings none; made on first need.
+    progress : bool
+        Show bars on stderr.
+    model : FaceModel, optional
+        The embedded one by default.
+    on_take : callable, optional
+        Is told which frames were taken.
+
+    Returns
+    -------
+    Actor
+        The personal rig.
+
+    Raises
+    ------
+    TrackingError
+        No face was found; its kind :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` where the head is no
+        person's.
     """
     model, parameters = model or embedded_face_model(), parameters or Parameters()
     known = Abilities.of(source)
@@ -181,14 +204,41 @@ def track_source(
     detector: FeatureDetector | None = None,
     folder: Path | None = None,
 ) -> Result:
-    """Track every frame of ``source`` with the rig ``actor`` (paper, sections 4 to 6).
+    """Track every frame of a source (sections 4 to 6).
 
-    ``keep_stages`` keeps v1, v2, v3 besides the final mesh; ``on_frame(tracked, frame)`` sees every frame once it is
-    done; ``progress`` shows a bar on stderr. Broken frames are skipped and counted (``Result.skipped``, with
-    ``Result.reasons``). A source that says ``colour_only`` is tracked by its features alone, degraded. ``folder``: keep
-    the frames in files there instead of in memory, see :func:`track_to_file`. Raises :class:`TrackingError` when no
-    frame can be used, the face is never found or is far larger or smaller than the actor's,
-    :class:`TrackingInterrupted` (with the result so far) on Ctrl-C.
+    Broken frames are skipped and counted (``Result.skipped`` and ``Result.reasons``). A source that says ``colour_only`` is
+    tracked by its features alone, a degraded mode.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Where the frames come from.
+    actor : Actor
+        The rig of the person.
+    parameters : Parameters, optional
+        Our defaults without.
+    progress : bool
+        Show a bar on stderr.
+    keep_stages : bool
+        Keep v1, v2 and v3 besides the final mesh.
+    on_frame : callable, optional
+        Called with the tracked frame and the source's frame once a frame is done.
+    detector : FeatureDetector, optional
+        Finds 2D features where the source brings none; made on first need.
+    folder : pathlib.Path, optional
+        Keep the rows in files there instead of in memory; see :func:`track_to_file`.
+
+    Returns
+    -------
+    Result
+        One entry per frame.
+
+    Raises
+    ------
+    TrackingError
+        No frame can be used, the face is never found, or it is far larger or smaller than the actor's.
+    TrackingInterrupted
+        Ctrl-C was pressed; the error holds the result so far.
     """
     parameters = parameters or Parameters()
     colour_only = Abilities.of(source).colour_only

@@ -220,10 +220,28 @@ class ErrorCollector:
 
 
 def evaluate_run(frames: Iterable[TrackedFrame], truth, actor: Actor, stages: tuple[str, ...] = STAGES) -> Evaluation:
-    """Score tracked frames against ``truth`` (a sensor with ``ground_truth(i)``, a ``GroundTruth`` or a path).
+    """Score tracked frames against the truth.
 
-    The frames' ``index`` is their number in the truth. Raises :class:`AdaptiveFaceError` for another mesh than the
-    truth's, or when no frame was tracked.
+    Parameters
+    ----------
+    frames : iterable of TrackedFrame
+        Their ``index`` is their number in the truth.
+    truth
+        A sensor with ``ground_truth(index)``, a :class:`GroundTruth`, or the path of a ``ground_truth.npz``.
+    actor : Actor
+        The rig that the frames were tracked with.
+    stages : tuple of str
+        The meshes to score, "v1" to "v4".
+
+    Returns
+    -------
+    Evaluation
+        Errors in millimetres by stage, frame and vertex.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        The mesh is another one than the truth's, or no frame was tracked.
     """
     collector = ErrorCollector(truth, actor, tuple(stages))
     for frame in frames:

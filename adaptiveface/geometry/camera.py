@@ -19,10 +19,21 @@ FIELD_OF_VIEW_RANGE = (10.0, 150.0)
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics of a rectified depth camera (colour is aligned to depth pixel by pixel).
+    """A pinhole camera without distortion.
 
-    ``width``, ``height`` in pixels; ``fx``, ``fy``, ``cx``, ``cy`` in pixels.
-    Raises :class:`FileFormatError` for values no camera has (NaN, non-positive focal length, ...).
+    Attributes
+    ----------
+    width, height : int
+        Size of the picture, pixels.
+    fx, fy : float
+        Focal lengths, pixels.
+    cx, cy : float
+        Principal point, pixels; pixel centres lie at integers.
+
+    Raises
+    ------
+    FileFormatError
+        A value is one that no camera has: NaN, a focal length that is not positive, too many pixels.
     """
 
     width: int

@@ -86,10 +86,14 @@ SCORE_NAMES = (
 
 @dataclass(frozen=True)
 class DetectedFace:
-    """All that a detector found of one face, of which the 40 features are a part.
+    """Everything that the detector found of a face.
 
-    ``mesh`` (478, 3): MediaPipe's landmarks, pixels, and depth on their scale; ``scores`` (51,) in [0, 1], its expression
-    scores in the order of ``SCORE_NAMES``, or None.
+    Attributes
+    ----------
+    mesh : (478, 3)
+        MediaPipe's landmarks, pixels, and their depth on the same scale.
+    scores : (51,) or None
+        Expression scores from 0 to 1, in the order of ``SCORE_NAMES``.
     """
 
     mesh: np.ndarray
@@ -98,11 +102,18 @@ class DetectedFace:
 
 @dataclass(frozen=True)
 class Features2D:
-    """The 40 facial features of one frame, in the order of ``FEATURE_IDS``.
+    """The 2D features of one frame, in the order of ``FEATURE_IDS``.
 
-    ``pixels`` (40, 2) float64 in the depth image, NaN where not seen; ``confidence`` (40,) in [0, 1], 0 where not seen;
-    ``face``: everything the detector found beside them, or None where the features came from elsewhere; ``irises`` (2, 2):
-    iris centres where these are known without it, pixels, NaN where not seen.
+    Attributes
+    ----------
+    pixels : (40, 2) float64
+        Places in the depth image, pixels; NaN where a feature was not seen.
+    confidence : (40,)
+        From 0 to 1; 0 where a feature was not seen.
+    face : DetectedFace or None
+        Everything else that the detector found. None where the features did not come from the detector.
+    irises : (2, 2) or None
+        Iris centres where they are known without the detector, pixels; NaN where they were not seen.
     """
 
     pixels: np.ndarray
@@ -132,10 +143,22 @@ class Features2D:
 
 @dataclass(frozen=True)
 class RgbdFrame:
-    """One frame of a sensor or a recording.
+    """One frame of a source.
 
-    ``depth`` (H, W) float32 mm, 0 = no measurement (never NaN); ``colour`` (H, W, 3) uint8 RGB aligned to the depth, or
-    None; ``camera`` its calibration; ``index`` its number in the source; ``timestamp`` seconds; ``features`` or None.
+    Attributes
+    ----------
+    depth : (H, W) float32
+        Depth, mm; 0 where nothing was measured, never NaN.
+    camera : Camera
+        The calibration.
+    colour : (H, W, 3) uint8 or None
+        RGB, aligned to the depth pixel by pixel.
+    index : int
+        The frame's number in the source.
+    timestamp : float
+        Seconds.
+    features : Features2D or None
+        The 2D features, where a face was found.
     """
 
     depth: np.ndarray

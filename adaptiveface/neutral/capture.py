@@ -47,12 +47,31 @@ def capture_actor(
     progress: Progress | None = None,
     source: Any = None,
 ) -> Actor:
-    """Capture the neutral face of one person and build the personal blendshapes (paper, section 3).
+    """Capture the neutral face of one person and build the personal blendshapes (section 3).
 
-    frames: of the neutral face, at least one with 2D features; model: the embedded one by default; progress: called
-    with the step's name and the share done; source: of the frames, whose name and unit of depth are named where the head is
-    doubtful. Raises :class:`TrackingError` when no face is found, and its kind
-    :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` for a head that is no person's.
+    Parameters
+    ----------
+    frames : sequence of RgbdFrame
+        Frames of the neutral face, at least one of them with 2D features.
+    model : FaceModel, optional
+        The embedded one by default.
+    parameters : Parameters
+        Of the stages ``fusion``, ``fit``, ``shrink_wrap`` and ``refinement``.
+    progress : callable, optional
+        Called with the name of a step and the share of it that is done, 0 to 1.
+    source : optional
+        Where the frames came from. Its name and unit of depth appear in the message where the head is doubtful.
+
+    Returns
+    -------
+    Actor
+        The personal rig.
+
+    Raises
+    ------
+    TrackingError
+        No face was found; its kind :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` where the head is no
+        person's.
     """
     return capture_neutral(frames, model, parameters, progress, source).actor
 

@@ -36,18 +36,42 @@ def write_report(
     still_frames: int = 0,
     character: str = "hag",
 ) -> Path:
-    """Write ``out_dir/report.html`` and return its path.
+    """Write the report of a run as one HTML page.
 
-    result: the tracked frames (an iterable of ``TrackedFrame``, or an object with the arrays of ``result.npz``);
-    source: where they came from (``read(index)``, ``name``), or None for a report without pictures of the input;
-    actor: the rig; truth: a sensor with ``ground_truth(i)``, the path of a ``ground_truth.npz``, or None; evaluation:
-    errors already scored (otherwise up to ``MAX_SCORED`` frames are scored here); correctives (K, N, 3) or (3n, K): the
-    corrective shapes at the end, over all or over the frontal vertices; parameters: of the run, where the result does
-    not say; known: :class:`~adaptiveface.evaluation.coefficients.KnownCoefficients`, or None; still_frames: how many of
-    the leading frames show the neutral face, for the jitter; character: whom the section on retargeting shows.
+    Parameters
+    ----------
+    result : Result or iterable of TrackedFrame
+        The tracked frames.
+    source
+        Where they came from (``read(index)``, ``name``), or None for a report without pictures of the input.
+    actor : Actor
+        The rig.
+    out_dir : path-like
+        The folder in which ``report.html`` is written.
+    truth : optional
+        A sensor with ``ground_truth(index)``, or the path of a ``ground_truth.npz``.
+    evaluation : Evaluation, optional
+        Errors that were scored already. Without, up to ``MAX_SCORED`` frames are scored here.
+    correctives : (K, N, 3) or (3n, K), optional
+        The corrective shapes at the end, over all vertices or over the frontal ones.
+    parameters : Parameters, optional
+        Of the run, where the result does not say.
+    known : KnownCoefficients, optional
+        Coefficients that are known (:mod:`adaptiveface.evaluation.coefficients`).
+    still_frames : int
+        How many of the leading frames show the neutral face, to measure the jitter by.
+    character : str
+        The character that the section on retargeting shows.
 
-    Raises :class:`~adaptiveface.errors.AdaptiveFaceError` for an empty run, and its subclass ``FileFormatError`` for a
-    truth that cannot be read.
+    Returns
+    -------
+    pathlib.Path
+        Of ``report.html``.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        The run is empty; its kind :class:`~adaptiveface.errors.FileFormatError` where the truth cannot be read.
     """
     record = RunRecord.of(result, parameters)
     truth = None if truth is None else GroundTruth.of(truth)

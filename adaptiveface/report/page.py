@@ -92,6 +92,7 @@ class Link(str):
     address: str
 
     def __new__(cls, text: str, address: str) -> Link:
+        """The cell of a table with ``text`` that leads to ``address``."""
         cell = super().__new__(cls, text)
         cell.address = address
         return cell

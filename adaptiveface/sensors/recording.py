@@ -50,11 +50,34 @@ DEPTH_RANGE_MM = (100.0, 10_000.0)
 class Recording(NumberedFrames):
     """A recorded performance on disk, read frame by frame.
 
-    ``camera`` :class:`Camera`, which a frame replaces by its own where intrinsics.csv has one; ``fps``; ``depth_scale``
-    units per metre; ``name`` of the folder; ``has_features``: the recording holds 2D features; ``timestamps`` (len,) s;
-    ``notes``: what of them was converted or repaired. ``len()``,
-    ``read(index)`` and iteration (which passes over the broken frames).
-    Raises :class:`FileFormatError` naming the file and the value when the recording cannot be used at all.
+    ``len()``, ``read(index)`` and iteration give the frames; iteration passes over the broken ones.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder.
+
+    Attributes
+    ----------
+    camera : Camera
+        A frame has its own instead where ``intrinsics.csv`` lists one.
+    fps : float
+        Frames per second.
+    depth_scale : float
+        Units of the depth images per metre.
+    name : str
+        Of the folder.
+    has_features : bool
+        Whether the recording holds 2D features.
+    timestamps : (F,) float64
+        Seconds.
+    notes : tuple of str
+        What was converted or repaired in the timestamps.
+
+    Raises
+    ------
+    FileFormatError
+        The recording cannot be used at all. The message names the file and the value.
     """
 
     def __init__(self, path: str | os.PathLike) -> None:

@@ -45,11 +45,25 @@ class FrameSource(Protocol):
 
 
 def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
-    """The source named by ``text``: a recording folder, an .r3d file, a video, ``synthetic[:SEED[:NOISE]][@take.csv]``.
+    """Open a source of numbered frames by name.
 
-    ``,mirrored`` at the end of any of them flips its frames: recordings as in a mirror, as selfie videos are.
-    ``field_of_view`` of a video, degrees across the longer side; None: see :class:`.video_file.VideoFile`. Raises
-    :class:`FileFormatError` or :class:`ParameterError`, listing what is possible.
+    Parameters
+    ----------
+    text : str
+        A recording's folder, an ``.r3d`` file, a video, or ``synthetic[:SEED[:NOISE]][@take.csv]``. With ``,mirrored`` at
+        the end the frames are flipped, for recordings that were made as in a mirror, such as selfie videos.
+    field_of_view : float, optional
+        Of a video, degrees across the longer side. :class:`.video_file.VideoFile` says what is taken without it.
+
+    Returns
+    -------
+    FrameSource
+        With ``len()``, ``read(index)``, ``camera``, ``fps`` and ``name``.
+
+    Raises
+    ------
+    FileFormatError, ParameterError
+        The message lists what is possible.
     """
     text, flipped = split_mirrored(text)
     source = _open(text, field_of_view)

@@ -48,17 +48,46 @@ class GroundTruth:
 class SyntheticSensor:
     """A repeatable recording of a :class:`Performer`.
 
-    First ``neutral_frames`` of neutral face while the head turns, then the same ``frames`` of expressions ``repeats``
-    times, with head motion and noise of their own. Frames are a function of (seed, index): any order, as often as
-    wanted.
+    It begins with ``neutral_frames`` of the neutral face while the head turns. The same ``frames`` of expressions follow
+    ``repeats`` times, each time with head motion and noise of their own. A frame is a function of seed and index, so that
+    frames can be read in any order and as often as wanted.
 
-    ``take``: a real take that is performed in place of the script, once; ``frames`` and ``repeats`` are those of the take.
-    ``noise``: "structured-light", "truedepth" or "none"; ``feature_noise``: standard deviation of the 2D features,
-    pixels per coordinate; ``colour=False`` leaves the pictures out (faster); ``focal`` px at 640 pixels of width;
-    ``distance`` mm; ``performer`` replaces the one drawn from ``seed`` and ``model``.
+    Parameters
+    ----------
+    seed : int
+        Of the performer, the script and the noise.
+    noise : str
+        "structured-light", "truedepth" or "none".
+    neutral_frames, frames, repeats : int
+        See above.
+    take : optional
+        A real take that is performed once in place of the script; ``frames`` and ``repeats`` are then the take's.
+    feature_noise : float
+        Standard deviation of the 2D features, pixels per coordinate.
+    colour : bool
+        False leaves the pictures out, which is faster.
+    focal : float
+        Focal length, pixels at a width of 640.
+    distance : float
+        Of the head, mm.
+    performer : Performer, optional
+        Replaces the one that ``seed`` and ``model`` draw.
 
-    Attributes: camera, name, fps, depth_scale (units per metre in which the depth is rounded), performer, script
-    (frames, E). Raises :class:`ParameterError` for values that make no sense.
+    Attributes
+    ----------
+    camera : Camera
+    name : str
+    fps : float
+    depth_scale : float
+        Units per metre to which the depth is rounded.
+    performer : Performer
+    script : (frames, E)
+        Activation of every expression unit.
+
+    Raises
+    ------
+    ParameterError
+        A value makes no sense.
     """
 
     fps = 30.0

@@ -30,7 +30,17 @@ FOLLOW_WEIGHT = 3.0
 
 
 class FaceTracker(Tracker):
-    """The method of sections 4 and 5, on frames with depth."""
+    """The method of sections 4 and 5, on frames with depth.
+
+    Parameters
+    ----------
+    actor : Actor
+        The rig of the person to be tracked.
+    parameters : Parameters, optional
+        Our defaults without.
+    stages : Stages, optional
+        What makes each stage, to put another one in its place.
+    """
 
     def __init__(self, actor: Actor, parameters: Parameters | None = None, stages: Stages | None = None) -> None:
         super().__init__(actor, parameters, stages)
@@ -63,7 +73,18 @@ class FaceTracker(Tracker):
         return self.stages.skin(skin, self.region, self.deformation, p.skin)
 
     def track(self, frame: RgbdFrame) -> TrackedFrame:
-        """Section 4 for one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
+        """Track one frame (section 4).
+
+        Parameters
+        ----------
+        frame : RgbdFrame
+            With 2D features where a face was found.
+
+        Returns
+        -------
+        TrackedFrame
+            Every stage's result. A bad frame raises nothing: ``tracked`` is then False, and ``reason`` says why.
+        """
         last, ms = self.state, dict.fromkeys(STAGE_NAMES, 0.0)
         with timed(ms, "preprocess"):
             normals = self.region.normals(last.v1)

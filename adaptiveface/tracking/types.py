@@ -41,14 +41,38 @@ STAGE_NAMES = (
 @renamed
 @dataclass(frozen=True)
 class TrackedFrame:
-    """One frame, tracked or not. Shapes: N vertices, A expressions; the stages v1..v4 are in the head frame, mm.
+    """What the tracker made of one frame, tracked or not. N vertices, A expressions.
 
-    head_pose (4, 4) head to camera; v1 initial blendshapes, v2 Laplacian-deformed, v3 projected on the adaptive space, v4
-    final, each (N, 3) (section 4); coefficients_initial (A,) of v1 and coefficients (A,) re-solved from v4 (section 6);
-    residual: mean point-to-plane distance of the rigid fit, mm; anchor_distance, adaptive_distance: mean distance of v2
-    from the anchor space and from the adaptive space over the frontal region, mm, before the frame itself is learned from
-    (figure 11); corrective_updates: PCA updates so far; stage_ms: milliseconds per stage of ``STAGE_NAMES``; reason: why
-    the frame is not tracked, or "".
+    Attributes
+    ----------
+    index : int
+        The frame's number in the source.
+    timestamp : float
+        Seconds.
+    tracked : bool
+        Whether the face was tracked.
+    head_pose : (4, 4)
+        Head frame to camera frame, mm.
+    v1, v2, v3, v4 : (N, 3)
+        The mesh after each stage of section 4, head frame, mm: initial blendshapes, Laplacian-deformed, projected on the
+        adaptive space, final.
+    coefficients_initial, coefficients : (A,)
+        Expression coefficients of v1, and re-solved from v4 (section 6).
+    sample_state : SampleState
+        What became of the frame as a training sample.
+    corrective_updates : int
+        PCA updates so far.
+    residual : float
+        Mean point-to-plane distance of the rigid fit, mm.
+    anchor_distance, adaptive_distance : float
+        Mean distance of v2 from the anchor space and from the adaptive space over the frontal region, mm, before the frame
+        itself is learned from (figure 11).
+    stage_ms : dict
+        Milliseconds per stage of ``STAGE_NAMES``.
+    reason : str
+        Why the frame is not tracked, or "".
+    held_out : (R,)
+        Error of the landmarks that no fit used, by region, % of the eyes' distance; empty where none were detected.
     """
 
     index: int

@@ -90,9 +90,11 @@ class BackgroundTask:
 
     @property
     def running(self) -> bool:
+        """Whether the task has begun and not ended."""
         return self._task is not None and not self._task.done()
 
     def start(self, coroutine: Coroutine) -> None:
+        """Run ``coroutine`` in place of what runs now, at once where there is no event loop."""
         self.stop()
         loop = running_loop()
         if loop is None:
@@ -102,6 +104,7 @@ class BackgroundTask:
             self._task.add_done_callback(_tell)
 
     def stop(self) -> None:
+        """Cancel the task, if it runs."""
         if self.running:
             self._task.cancel()
 

@@ -65,6 +65,7 @@ class Replay:
 
     @property
     def busy(self) -> bool:
+        """Whether a run goes on in the background."""
         return self._task.running
 
     def close(self) -> None:

@@ -108,6 +108,7 @@ class IcpStudy(_Study):
         self.box.layout.max_height, self.box.children = None, (*self.box.children, self.chart.widget)
 
     def draw(self) -> None:
+        """Run ICP from the chosen start, and show the chosen iteration."""
         start = displaced(self.result.head_pose, self._centre, self.shift.value, self.turn.value)
         self.run = run_icp(self.frame, self._shape, self._normals, start, self.max_distance.value)
         k = min(self.iteration.value, len(self.run.poses) - 1)

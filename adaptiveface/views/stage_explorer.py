@@ -246,6 +246,7 @@ class SeriesCache:
         self._function, self._names, self._known = function, tuple(names), {}
 
     def __call__(self, replay: Replay) -> dict[str, np.ndarray]:
+        """Name of each curve -> its values (F,), NaN where a frame is not tracked yet."""
         out = {name: np.full(len(replay.frames), np.nan) for name in self._names}
         for index, result in enumerate(replay.results):
             if result is None or not result.tracked:
