@@ -55,13 +55,18 @@ def _check(path: Path, name: str, field: Field, shape, dtype: np.dtype, sizes: d
 
 
 def load_checked(
-    path: str | os.PathLike, fields: Mapping[str, Field], max_bytes: int = MAX_BYTES, mapped: Collection[str] = ()
+    path: str | os.PathLike,
+    fields: Mapping[str, Field],
+    max_bytes: int = MAX_BYTES,
+    mapped: Collection[str] = (),
+    mapped_from: int = MAPPED_FROM,
 ) -> dict:
     """Read the named arrays of an npz and check names, dtypes, shapes, finiteness and total size.
 
     Members that ``fields`` does not name are ignored. Returns name -> array (missing optional ones left out). Large
     uncompressed arrays that ``mapped`` names stay on the disk, take no memory and do not count in ``max_bytes``; they
-    are checked block by block. Raises :class:`FileFormatError` naming the file and the array.
+    are checked block by block; ``mapped_from``: what is large, bytes. Raises :class:`FileFormatError` naming the file and
+    the array.
     """
     path = Path(path)
     out: dict[str, np.ndarray] = {}
@@ -85,7 +90,7 @@ def load_checked(
                 if begins + needed != info.file_size:
                     held = info.file_size - begins
                     raise FileFormatError(f"{path}: array '{name}' promises {abbreviated(needed)} bytes and holds {held}")
-                if name in mapped and info.file_size >= MAPPED_FROM:
+                if name in mapped and info.file_size >= mapped_from:
                     _check(path, name, field, shape, dtype, sizes)
                     array = map_member(path, info, partial(_check_values, path, name))
                     if array is not None:

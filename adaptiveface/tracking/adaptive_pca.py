@@ -88,7 +88,8 @@ EmIterations = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 class AdaptiveModel:
     """M = [M_A, M_K]: projection (section 4.3) and learning (section 5).
 
-    Learned state: ``correctives`` (3n, k <= K) orthonormal and orthogonal to ``anchors`` (3n, a); ``updates``.
+    Learned state: ``correctives`` (3n, k <= K) orthonormal and orthogonal to ``anchors`` (3n, a); ``updates``; ``mix`` (s, k),
+    the combinations of the samples in the buffer that the correctives are a basis of, None while they grow.
     ``em``: the EM iterations of one update, as :func:`em_in_sample_space` makes them.
     """
 
@@ -117,6 +118,7 @@ class AdaptiveModel:
         self.updates = 0
         self.count = 0
         self._next = 0
+        self.mix: np.ndarray | None = None
         # Samples in float32: half the memory traffic of the two passes over S, far below the sensor's noise.
         self._samples = np.zeros((s, self._size), np.float32)
         self._gram = np.zeros((s, s))
@@ -225,6 +227,7 @@ class AdaptiveModel:
         # A near-duplicate of what is there has no direction of its own: keep the sample, not the rank deficiency.
         if length < 1e-2 * np.linalg.norm(sample):
             return k > 0
+        self.mix = None
         self.correctives = np.column_stack([self.correctives, rest / length])
         self.correctives, _ = orthonormalise(self.correctives)
         self._coordinates = self._samples @ self.correctives
@@ -246,13 +249,18 @@ class AdaptiveModel:
         self._take(self._em(gram, coordinates.T, self.parameters.em_steps))
         self.updates += 1
 
-    def _take(self, mix: np.ndarray) -> None:
-        """The orthonormal basis of the combinations S ``mix`` (count, k) of the samples becomes the correctives."""
-        shapes = (mix.T.astype(np.float32) @ self._samples[: self.count]).astype(float)
+    def combined(self, mix: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The orthonormal basis (3n, k) of the combinations S ``mix`` (s, k) of samples (s, 3n), and its triangle (k, k)."""
+        shapes = (mix.T.astype(np.float32) @ samples).astype(float)
         # Samples are orthogonal to the anchors up to their float32 storage; make it exact. The correction is 1e-7 of
         # the correctives, so that its own single precision does not show.
         shapes -= (shapes @ self.anchors).astype(np.float32) @ self._anchor_rows
-        self.correctives, triangle = orthonormalise(shapes.T)
+        return orthonormalise(shapes.T)
+
+    def _take(self, mix: np.ndarray) -> None:
+        """The orthonormal basis of the combinations S ``mix`` (count, k) of the samples becomes the correctives."""
+        self.mix = mix
+        self.correctives, triangle = self.combined(mix, self._samples[: self.count])
         mix = mix @ np.linalg.inv(triangle)
         self._coordinates[: self.count] = self._gram[: self.count, : self.count] @ mix
         self._corrective_anchors = self._sample_anchors[: self.count].T @ mix

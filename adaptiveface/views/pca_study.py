@@ -42,7 +42,7 @@ class CorrectiveView:
         )
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         self.widget = widgets.HBox([widgets.VBox([self.view.widget, self.amount]), self.values.widget], layout=row)
-        self._last: np.ndarray | None = None
+        self._last: tuple | None = None
         self._wanted: tuple[Replay, int] | None = None
         self._task, self._rows = BackgroundTask(), SampleRows()
         self.amount.observe(on_main_thread(lambda _: self._wanted and self._draw(*self._wanted)), "value")
@@ -52,17 +52,17 @@ class CorrectiveView:
         self._wanted = replay, index
         if running_loop() is None:
             self._draw(replay, index)
-        elif replay.model_after(index).correctives is not self._last and not self._task.running:
+        elif replay.learned_by(index) != self._last and not self._task.running:
             self._task.start(self._follow())
 
     async def _follow(self) -> None:
-        while self._wanted is not None and self._wanted[0].model_after(self._wanted[1]).correctives is not self._last:
+        while self._wanted is not None and self._wanted[0].learned_by(self._wanted[1]) != self._last:
             self._draw(*self._wanted)
             await asyncio.sleep(0.4)
 
     def _draw(self, replay: Replay, index: int) -> None:
         model, frontal = replay.model_after(index), self.actor.frontal
-        self._last = model.correctives
+        self._last = replay.learned_by(index)
         for k in range(len(self.view.titles)):
             heat = np.full(len(self.actor.neutral), np.nan)
             vertices = self.actor.neutral.copy()

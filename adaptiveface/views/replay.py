@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -15,9 +17,22 @@ from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.base import Tracker
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import SampleState, TrackedFrame
+from .history import History
 from .kernel import BackgroundTask
 
 MakeTracker = Callable[[Actor, Parameters], Tracker]
+
+
+def give_memory_back() -> None:
+    """Return what tracking has freed to the system, where the C library keeps it (glibc: some 90 MB after 300 frames)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
+
+
+def in_single_precision(result: TrackedFrame) -> TrackedFrame:
+    """A result with its meshes in half the memory: whole performances are kept, and 1e-5 mm are not seen."""
+    return replace(result, **{name: getattr(result, name).astype(np.float32) for name in ("v1", "v2", "v3", "v4")})
 
 
 class Replay:
@@ -35,12 +50,12 @@ class Replay:
         on_result: Callable[[int], None] | None = None,
         make_tracker: MakeTracker = FaceTracker,
     ) -> None:
-        self.frames, self.actor, self.make_tracker = list(frames), actor, make_tracker
+        self.frames, self.actor, self.make_tracker = frames, actor, make_tracker
         self.parameters = parameters or Parameters()
         self.on_result = on_result or (lambda index: None)
         self.results: list[TrackedFrame | None] = [None] * len(self.frames)
         self.tracker = make_tracker(actor, self.parameters)
-        self._before: list[Tracker | None] = [None] * len(self.frames)
+        self._history = History(len(self.frames))
         self._made_with: list[Parameters | None] = [None] * len(self.frames)  # of every result
         self._previewer: tuple[Parameters, Tracker] | None = None  # what the last preview tracked with
         self._task = BackgroundTask()
@@ -53,6 +68,7 @@ class Replay:
         self._restart(self.parameters)
         while self.done < len(self.frames):
             self._advance()
+        give_memory_back()
         return self.results
 
     def start(self) -> None:
@@ -82,7 +98,7 @@ class Replay:
         self.parameters = parameters
         self._keep(index, result)
         self.start()
-        return result
+        return self.results[index]
 
     def current(self, index: int) -> TrackedFrame | None:
         """Frame ``index`` with the current parameters: a preview while the background run has not come to it yet.
@@ -90,13 +106,13 @@ class Replay:
         None where it was never tracked.
         """
         stale = self.results[index] is not None and self._made_with[index] is not self.parameters
-        if self.busy and stale and self._before[index] is not None:
+        if self.busy and stale and self._history.known(index):
             self._keep(index, self._quick_preview(index))
         return self.results[index]
 
     def _quick_preview(self, index: int) -> TrackedFrame:
         """:meth:`preview` with the stages of the last one, whose matrices cost more than a frame."""
-        before, (known, tracker) = self._before[index], self._previewer or (None, None)
+        before, (known, tracker) = self._history.before(index), self._previewer or (None, None)
         if known != self.parameters or len(tracker.state.coefficients) != len(before.state.coefficients):
             return self.preview(self.parameters, index)
         same_filter = before.parameters.kalman == self.parameters.kalman
@@ -106,7 +122,7 @@ class Replay:
         return tracker.track(self.frames[index])
 
     def _keep(self, index: int, result: TrackedFrame) -> None:
-        self.results[index], self._made_with[index] = result, self.parameters
+        self.results[index], self._made_with[index] = in_single_precision(result), self.parameters
 
     def preview(self, parameters: Parameters, index: int) -> TrackedFrame:
         """Frame ``index`` with other parameters, from where the previous frame left the head.
@@ -114,7 +130,7 @@ class Replay:
         Correctives are learned anew from the deformations of the earlier frames when the learning's parameters differ;
         everything else that earlier frames would do differently waits for the background run.
         """
-        start = self._before[index]
+        start = self._history.before(index)
         if start is None:
             return self.make_tracker(self.actor, parameters).track(self.frames[index])
         # The copy shares the sample buffer, which the background run fills: for one frame, and without learning.
@@ -138,10 +154,11 @@ class Replay:
     def _restart(self, parameters: Parameters) -> None:
         self.parameters, self.done = parameters, 0
         self.tracker = self.make_tracker(self.actor, parameters)
+        self._history.start_over()
 
     def _advance(self) -> None:
         index = self.done
-        self._before[index] = self.tracker.copy()
+        self._history.keep(index, self.tracker, self.results[index - 1] if index else None)
         self._keep(index, self.tracker.track(self.frames[index]))
         self.done += 1
         self.on_result(index)
@@ -153,11 +170,19 @@ class Replay:
         while self.done < len(self.frames):
             self._advance()
             await asyncio.sleep(0.002)
+        give_memory_back()
 
     def model_after(self, index: int) -> AdaptiveModel:
         """The adaptive model once frame ``index`` was learned (read it, do not let it learn)."""
         following = index + 1
-        return self._before[following].model if following < self.done else self.tracker.model
+        return self._history.before(following).model if following < self.done else self.tracker.model
+
+    def learned_by(self, index: int) -> tuple:
+        """Something that differs whenever :meth:`model_after` differs, and costs nothing to compare."""
+        following, model = index + 1, self.tracker.model
+        if following < self.done:
+            return self._made_with[index], self._history.samples(following)
+        return self._made_with[index], model.updates, model.count, index
 
     def forget(self) -> None:
         """Back to the first frame with nothing learned; :meth:`track_up_to` goes on from there."""

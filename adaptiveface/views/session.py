@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,6 +54,8 @@ _FIELDS = {
     "performance": Field(("F",), "i"),
     "truth_neutral": Field(("V", 3)),
 }
+#: What stays on the disk: kernels that work on the same performance share it.
+_MAPPED = ("depth", "colour", "truth_vertices")
 
 
 def fast() -> bool:
@@ -70,8 +72,8 @@ class Session:
 
     name: str
     camera: Camera
-    neutral: list[RgbdFrame]
-    frames: list[RgbdFrame]
+    neutral: Sequence[RgbdFrame]
+    frames: Sequence[RgbdFrame]
     truth: GroundTruth | None = None
     has_features: bool = True
     fps: float = 30.0
@@ -162,13 +164,18 @@ def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None)
     key = f"{CACHE_VERSION}|{source}|{neutral_frames}|{count}|{hashlib.sha256(asset.read_bytes()).hexdigest()}"
     stem = cache / f"performance-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     data_file, actor_file = stem.with_suffix(".npz"), stem.with_suffix(".actor.npz")
-    data = _cached(data_file, lambda path: load_checked(path, _FIELDS, max_bytes=2 << 30))
+
+    def load() -> dict[str, np.ndarray] | None:
+        return _cached(data_file, lambda path: load_checked(path, _FIELDS, 2 << 30, mapped=_MAPPED, mapped_from=1 << 20))
+
+    data = load()
     if data is None:
         data = _render(source, neutral_frames, count)
         with _not_cached():
             cache.mkdir(parents=True, exist_ok=True)
             write_npz(data_file, data, shared=True)
             actor_file.unlink(missing_ok=True)
+            data = load() or data
     return _session(source, data, neutral_frames, actor_file)
 
 
@@ -254,15 +261,32 @@ def liveliest_window(script: np.ndarray, length: int) -> int:
     return int(sums.argmax())
 
 
+class StoredFrames(Sequence[RgbdFrame]):
+    """Frames whose depth stays in the sensor's whole numbers, half the memory, until one is asked for."""
+
+    def __init__(self, data: dict, camera: Camera, numbers: range | None = None) -> None:
+        self._data, self._camera = data, camera
+        self._numbers = range(len(data["depth"])) if numbers is None else numbers
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __getitem__(self, which):
+        if isinstance(which, slice):
+            return StoredFrames(self._data, self._camera, self._numbers[which])
+        data, i = self._data, self._numbers[which]
+        confidence, colour = data["confidence"][i], np.asarray(data["colour"][i])
+        features = Features2D(np.where((confidence <= 0)[:, None], np.nan, data["pixels"][i]), confidence)
+        depth = data["depth"][i].astype(np.float32) * np.float32(data["depth_unit"])
+        return RgbdFrame(depth, self._camera, colour, i, i / 30.0, features)
+
+    def __add__(self, other: Sequence[RgbdFrame]) -> list[RgbdFrame]:
+        return [*self, *other]
+
+
 def _session(source: str, data: dict, neutral_frames: int, actor_file: Path | None) -> Session:
     height, width = data["depth"].shape[1:]
     camera = Camera(width, height, *map(float, data["intrinsics"]))
-    frames = []
-    for i in range(len(data["depth"])):
-        hidden = data["confidence"][i] <= 0
-        pixels = np.where(hidden[:, None], np.nan, data["pixels"][i])
-        depth = data["depth"][i].astype(np.float32) * np.float32(data["depth_unit"])
-        frames.append(RgbdFrame(depth, camera, data["colour"][i], i, i / 30.0, Features2D(pixels, data["confidence"][i])))
 
     def truth(index: int) -> TruthFrame:
         """The true head of frame ``index`` in the camera frame, mm; see :class:`TruthFrame`."""
@@ -270,6 +294,7 @@ def _session(source: str, data: dict, neutral_frames: int, actor_file: Path | No
             data["truth_vertices"][index].astype(float), data["truth_rigid"][index], int(data["performance"][index])
         )
 
+    frames = StoredFrames(data, camera)
     known = GroundTruth(data["truth_neutral"], truth, len(frames))
     return Session(
         f"synthetic performer ({source})",
