@@ -6,7 +6,7 @@ of the surface (:class:`Skin`) say where the skin between the features went. The
     w sum_q a_q sum_c rho |I_c(pi(P e_q(v1 + d))) - T_qc|^2 / s_qc^2
 
 with the picture's channels I_c, the pose P, the projection pi and the sample's barycentric row e_q. T is taken as the light of
-the picture shows it (skin_light.py). The energy is linearised at the displacement d0 so far, and the row's part along the
+the picture shows it (skin_light.py). The energy is linearised at the last frame's displacement d0, and the row's part along the
 normal is left out: there depth knows better. With the residual r_qc and g_qc = (1 - n n^T) P^T (d pi)^T grad I_c a sample
 adds the matrix M_q = sum_c w_qc g_qc g_qc^T and the pull M_q e_q d0 - sum_c w_qc r_qc g_qc. M_q says what a sample knows, in
 both directions of the surface: across an edge much, along it nothing.
@@ -27,8 +27,7 @@ from ..geometry.mesh import transform_points
 from ..model.appearance import channels
 from ..model.skin import Skin
 from ..parameters import SkinParameters
-from ..registration.association import Correspondences
-from .laplacian import FeatureTerm, LaplacianDeformation
+from .laplacian import LaplacianDeformation
 from .region import FrontalRegion
 from .skin_light import fit_light, in_light, robust, trust
 from .skin_samples import CORRELATED, carry, look_up, normal_equations
@@ -39,7 +38,7 @@ _BORDER = 16
 
 
 class DenseSkin:
-    """Follows one actor's ``skin`` with the ``deformation`` of section 4.3."""
+    """The rows of one actor's ``skin``; ``deformation``: that of section 4.3, bounded for them."""
 
     def __init__(
         self, skin: Skin, region: FrontalRegion, deformation: LaplacianDeformation, parameters: SkinParameters
@@ -52,41 +51,28 @@ class DenseSkin:
         at_vertices = np.bincount(self._corners.ravel(), (skin.weights * known[:, None]).ravel(), minlength=len(region))
         self.deformation = deformation.bounded(at_vertices)
 
-    def deform(
-        self,
-        frame: RgbdFrame,
-        pose: np.ndarray,
-        vertices: np.ndarray,
-        start: np.ndarray,
-        depth: tuple[Correspondences, np.ndarray],
-        features: FeatureTerm,
-    ) -> np.ndarray:
-        """Displacement (n, 3) of the frontal ``vertices`` (n, 3) of v1 towards depth, features and colours, mm.
+    def term(
+        self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray, displacement: np.ndarray, measured: np.ndarray
+    ) -> SkinTerm | None:
+        """The rows for the frontal ``vertices`` (n, 3) of v1, linearised at a ``displacement`` (n, 3), mm.
 
-        ``start`` (n, 3): the displacement so far, which is returned where no colour tells anything; ``depth``: the matches,
-        and their normals (n, 3) in the head frame.
+        ``measured`` (n,) bool: depth was found there. None where no colour tells anything.
         """
-        displacement, measured = start, depth[0].weights > 0
-        window = None if frame.colour is None else self._window(frame, pose, vertices + start)
+        placed = transform_points(pose, vertices + displacement)
+        window = None if frame.colour is None else self._window(frame, placed)
         if frame.colour is None or window is None:
-            return start
+            return None
         u, v, right, bottom = window
         picture = channels(frame.colour[v:bottom, u:right], 0.0)
         along_u, along_v = (cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1)))
         lens = frame.camera.fx, frame.camera.fy, frame.camera.cx - u, frame.camera.cy - v
-        light = None
-        for _ in range(self.parameters.rounds):
-            placed = transform_points(pose, vertices + displacement)
-            matrices, forces, light = self._rows((picture, along_u, along_v), lens, placed, pose, measured, light)
-            if not matrices.any():
-                break
-            term = SkinTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
-            displacement = self.deformation.deform(*depth, features, displacement, self.parameters.cg_iterations, term)
-        return displacement
+        matrices, forces = self._rows((picture, along_u, along_v), lens, placed, pose, measured)
+        if not matrices.any():
+            return None
+        return SkinTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
 
-    def _window(self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray) -> tuple[int, int, int, int] | None:
+    def _window(self, frame: RgbdFrame, placed: np.ndarray) -> tuple[int, int, int, int] | None:
         """Left, top, right and bottom of the part of the picture that holds the face; None where that is too little."""
-        placed = transform_points(pose, vertices)
         if placed[:, 2].min() < 50.0:
             return None
         pixels = frame.camera.project(placed)
@@ -101,23 +87,17 @@ class DenseSkin:
         placed: np.ndarray,
         pose: np.ndarray,
         measured: np.ndarray,
-        light: np.ndarray | None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """M (Q, 3, 3) and -sum_c w_qc r_qc g_qc (Q, 3), both in the head frame, where vertices are ``placed`` (n, 3); light.
-
-        The light (3, 5) is fitted where None is given.
-        """
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """M (Q, 3, 3) and -sum_c w_qc r_qc g_qc (Q, 3), both in the head frame, where vertices are ``placed`` (n, 3)."""
         skin, reach = self._skin, lens[0] * self.parameters.spacing
         points, normals, counts = carry(placed, self._corners, skin.weights, measured, reach)
         values, along_u, along_v = look_up(images, points, lens, counts)
         known = counts[:, None] / self._variances
-        if light is None:
-            light = fit_light(values, skin.colours, normals, known)
-        expected = in_light(light, skin.colours, normals)
+        expected = in_light(fit_light(values, skin.colours, normals, known), skin.colours, normals)
         residuals = values - expected
         misfit = (known * residuals**2).sum(axis=0) / max(counts.sum(), 1e-12)
         variances = np.maximum(misfit, 1.0) * self._variances
         believed = self.parameters.weight * trust(residuals, expected, known)
         weights = believed * counts[:, None] / variances * robust(residuals, variances)
         turn = np.ascontiguousarray(pose[:3, :3])
-        return *normal_equations(residuals, weights, along_u, along_v, points, normals, turn, lens), light
+        return normal_equations(residuals, weights, along_u, along_v, points, normals, turn, lens)

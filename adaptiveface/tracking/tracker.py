@@ -20,6 +20,7 @@ from .feature_refinement import FeatureRefinement
 from .feature_rows import reprojection_errors
 from .printed import depth_offsets, offsets_at_features
 from .rigid import RigidFit
+from .skin_term import SkinTerm
 from .stages import Stages
 from .state import TrackerState
 from .types import STAGE_NAMES, SampleState, TrackedFrame
@@ -105,10 +106,12 @@ class FaceTracker(Tracker):
             )
             v1 = self.blendshapes.shape(x)
         with timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
-            deformation, matches, occluded = self._deform_to_depth(surface, frame, pose, v1, normals)
+            matches, occluded = self._match_depth(surface, pose, v1, normals)
             coverage = matches.count / max(int(self._may_match.sum()), 1)
-        with timed(ms, "skin"):  # motion within the surface, which depth does not see
-            deformation = self._follow_skin(frame, pose, v1, deformation, matches)
+        with timed(ms, "skin"):  # what the colours tell about motion within the surface
+            colours = self._colour_rows(frame, pose, v1, matches)
+        with timed(ms, "laplacian"):
+            deformation = self._deform(frame, pose, v1, matches, colours)
             v2 = self.region.displaced(v1, deformation)
         with timed(ms, "projection"):  # section 4.3, last equation
             v3 = self._project(v2)
@@ -198,10 +201,10 @@ class FaceTracker(Tracker):
         return replace(frame, features=self.refinement.refine(frame, self.state.v4, pose, follow))
 
     # ---- sections 4.3, 4.4 and 5 -----------------------------------------------------------------------------------
-    def _deform_to_depth(
-        self, surface: DepthSurface, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, normals: np.ndarray
-    ) -> tuple[np.ndarray, Correspondences, float]:
-        """Displacement (n, 3); the depth matched; share of the vertices that something in front of them hides."""
+    def _match_depth(
+        self, surface: DepthSurface, pose: np.ndarray, v1: np.ndarray, normals: np.ndarray
+    ) -> tuple[Correspondences, float]:
+        """The depth matched to the frontal vertices; share of these that something in front of them hides."""
         p = self.parameters.laplacian
         matches = find_correspondences(
             surface, v1.take(self.region.vertices, axis=0), normals, p.max_correspondence_distance, pose
@@ -209,26 +212,32 @@ class FaceTracker(Tracker):
         matches.weights[~self._may_match] = 0.0
         some = np.flatnonzero(self._may_match)[::3]  # what hair covers is hidden for good
         occluded = occluded_share(surface, matches.points[some], normals[some] @ pose[:3, :3].T, p.max_correspondence_distance)
+        return matches, occluded
+
+    def _colour_rows(self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences) -> SkinTerm | None:
+        """The colours' rows about the last frame's displacement; None where no colour tells anything."""
+        if self.skin is None:
+            return None
+        vertices = v1.take(self.region.vertices, axis=0)
+        return self.skin.term(frame, pose, vertices, self.state.deformation, matches.weights > 0)
+
+    def _deform(
+        self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences, colours: SkinTerm | None
+    ) -> np.ndarray:
+        """Displacement (n, 3) of the frontal vertices of v1 towards depth, 2D features and colours."""
+        p, skin, start = self.parameters.laplacian, self.parameters.skin, self.state.deformation
+        planes = matches.normals @ pose[:3, :3]
+        if self.skin is not None and colours is not None:
+            term = self._feature_term(frame, pose, v1, skin.feature_weight, hold_depth=False)
+            return self.skin.deformation.deform(matches, planes, term, start, skin.cg_iterations, colours)
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
         else:
             rise = offsets_at_features(matches, pose, self.deformation.corners, self.deformation.shares) @ pose[2, :3]
             term = self._printed_term(frame, pose, v1, rise)
         if p.depth_term == "point-to-point":
-            offsets = depth_offsets(matches, pose, self.state.deformation)
-            return self.deformation.deform_to_points(offsets, term), matches, occluded
-        planes = matches.normals @ pose[:3, :3]
-        return self.deformation.deform(matches, planes, term, self.state.deformation, p.cg_iterations), matches, occluded
-
-    def _follow_skin(
-        self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, deformation: np.ndarray, matches: Correspondences
-    ) -> np.ndarray:
-        """``deformation`` (n, 3) with the motion within the surface that the colours show."""
-        if self.skin is None or frame.colour is None:
-            return deformation
-        term = self._feature_term(frame, pose, v1, self.parameters.laplacian.feature_weight, hold_depth=False)
-        depth = matches, matches.normals @ pose[:3, :3]
-        return self.skin.deform(frame, pose, v1[self.region.vertices], deformation, depth, term)
+            return self.deformation.deform_to_points(depth_offsets(matches, pose, start), term)
+        return self.deformation.deform(matches, planes, term, start, p.cg_iterations)
 
     def _learn(self, deformation: np.ndarray, coverage: float, occluded: float) -> SampleState:
         """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""
