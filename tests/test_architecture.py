@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import adaptiveface
+
 PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
 #: From the ground up; docs/redraw.py draws the table of docs/architecture.md from it.
 FLOORS = {
@@ -76,6 +78,14 @@ def test_no_packages_import_each_other_in_a_circle():
     while ready := {name for name, others in below.items() if not others & set(below)}:
         below = {name: others for name, others in below.items() if name not in ready}
     assert not below
+
+
+def test_the_stub_declares_what_the_package_exports():
+    """Names are imported on first use, which type checkers cannot follow; __init__.pyi tells them."""
+    tree = ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8"))
+    declared = {a.asname: node.module for node in tree.body if isinstance(node, ast.ImportFrom) for a in node.names}
+    assert declared == adaptiveface._HOME
+    assert all(getattr(adaptiveface, name).__name__ == name for name in declared)
 
 
 def test_tracking_knows_no_sensor_file_or_view():

@@ -76,9 +76,18 @@ def _associate(
 @renamed
 @dataclass(frozen=True)
 class Correspondences:
-    """Point-to-plane matches of n points, in the camera frame.
+    """Point-to-plane matches of n points v_i with points p_i of the depth map, camera frame.
 
-    distances (n,) mm, n_i^T (v_i - p_i); normals (n, 3); weights (n,), 0 = no match; points (n, 3) mm: the v_i.
+    Attributes
+    ----------
+    distances : (n,)
+        n_i^T (v_i - p_i), mm.
+    normals : (n, 3)
+        Unit normals n_i of the depth map.
+    weights : (n,)
+        0 for points without a match.
+    points : (n, 3)
+        The v_i, mm.
     """
 
     distances: np.ndarray
@@ -106,14 +115,32 @@ def find_correspondences(
     surface: DepthSurface,
     points: np.ndarray,
     normals: np.ndarray,
-    reach: float,
+    max_correspondence_distance: float,
     pose: np.ndarray | None = None,
     max_angle: float = 60.0,
 ) -> Correspondences:
-    """Match points (n, 3) with unit normals (n, 3) to the depth map by projection.
+    """Match points to the depth map by projection.
 
-    ``pose`` (4, 4) takes both to the camera frame; None: they are there. Dropped: no depth or a depth edge at the pixel,
-    depth point farther than ``reach`` mm, normals more than ``max_angle`` degrees apart, viewing angle too flat.
+    Points without a match are those whose pixel has no depth or lies at a depth edge, whose depth point is too far away or
+    turned too far, or whose surface is seen at too flat an angle.
+
+    Parameters
+    ----------
+    surface : DepthSurface
+        The depth map.
+    points, normals : (n, 3)
+        Points, mm, and their unit normals, camera frame, or the frame that ``pose`` takes there.
+    max_correspondence_distance : float
+        Depth points farther away are dropped, mm.
+    pose : (4, 4), optional
+        Takes points and normals to the camera frame, mm.
+    max_angle : float
+        Largest angle between the normals of a match, degrees.
+
+    Returns
+    -------
+    Correspondences
+        One entry per point.
     """
     camera, n = surface.camera, len(points)
     in_camera, distances, planes = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3))
@@ -126,7 +153,7 @@ def find_correspondences(
         surface.gradient_v,
         surface.valid,
         (camera.fx, camera.fy, camera.cx, camera.cy, float(surface.origin[0]), float(surface.origin[1])),
-        reach,
+        max_correspondence_distance,
         np.cos(np.radians(max_angle)),
         surface.min_view,
         in_camera,

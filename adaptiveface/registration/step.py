@@ -58,9 +58,26 @@ def _point_to_plane_equations(
 def point_to_plane_step(
     points: np.ndarray, correspondences: Correspondences, centre: np.ndarray, vertex_weights: np.ndarray
 ) -> np.ndarray:
-    """(6,) rotation and translation that minimise sum w_i (n_i^T (v_i - p_i))^2, linearised (Chen & Medioni 1991).
+    """One step of point-to-plane ICP, linearised (Chen & Medioni 1991).
 
-    With J of :func:`rigid_jacobian` and W the product of match and vertex weights: (J^T W J) step = -J^T W distances.
+    It minimises sum w_i (n_i^T (v_i - p_i))^2. With J of :func:`rigid_jacobian`, and W the product of match and vertex
+    weights, the step solves (J^T W J) step = -J^T W distances.
+
+    Parameters
+    ----------
+    points : (n, 3)
+        The v_i, camera frame, mm.
+    correspondences : Correspondences
+        Distances, normals n_i and weights of the matches.
+    centre : (3,)
+        The point that the rotation turns about, mm.
+    vertex_weights : (n,)
+        How much each vertex counts.
+
+    Returns
+    -------
+    (6,)
+        Rotation vector, rad, and translation, mm.
     """
     weights = correspondences.weights * vertex_weights
     h, g = _point_to_plane_equations(points, correspondences.normals, correspondences.distances, weights, centre)

@@ -18,10 +18,22 @@ from ..parameters import DepthParameters
 
 @dataclass(frozen=True)
 class DepthSurface:
-    """A cropped, smoothed depth map. ``origin`` (u, v) pixel of the crop's corner; the rest (h, w) float32:
+    """A cropped, smoothed depth map with its gradient.
 
-    depth mm; gradient_u, gradient_v mm per pixel; valid: 1 where measured and away from depth edges, else 0; min_view: the
-    smallest usable cosine of the viewing angle.
+    Attributes
+    ----------
+    camera : Camera
+        Of the whole depth map.
+    origin : (u, v)
+        Pixel of the crop's corner.
+    depth : (h, w) float32
+        Smoothed depth, mm.
+    gradient_u, gradient_v : (h, w) float32
+        Its derivatives, mm per pixel.
+    valid : (h, w) float32
+        1 where depth was measured away from depth edges, else 0.
+    min_view : float
+        Smallest usable cosine of the viewing angle.
     """
 
     camera: Camera
@@ -34,7 +46,24 @@ class DepthSurface:
 
 
 def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 0) -> tuple[int, int, int, int]:
-    """u0, v0, u1, v1 of the face window: the box of ``pixels`` (n, 2) plus a margin, or a fixed square about its centre."""
+    """The window around the face.
+
+    Parameters
+    ----------
+    camera : Camera
+        The window stays within its picture.
+    pixels : (n, 2)
+        Where the face is expected.
+    margin : float
+        Border around the pixels' box, pixels.
+    fixed : int
+        Side of a square about the box's centre, pixels, in its place; 0 for none.
+
+    Returns
+    -------
+    u0, v0, u1, v1 : int
+        The first pixel, and the first beyond.
+    """
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     if fixed:
         low = np.rint((low + high - fixed) / 2)
@@ -50,10 +79,26 @@ def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 
 def depth_surface(
     depth: np.ndarray, camera: Camera, window: tuple[int, int, int, int], parameters: DepthParameters
 ) -> DepthSurface:
-    """Crop and smooth a depth map (H, W) mm; see :class:`DepthSurface`.
+    """Crop and smooth a depth map (section 4.1).
 
-    Normalised convolution: missing pixels neither pull the mean towards zero nor leave a rim. Pixels at a depth edge are
+    Normalised convolution lets missing pixels neither pull the mean towards zero nor leave a rim. Pixels at a depth edge are
     invalid, since the sensor mixes foreground and background there (Rusinkiewicz & Levoy 2001 reject boundary points).
+
+    Parameters
+    ----------
+    depth : (H, W)
+        mm; 0 where nothing was measured.
+    camera : Camera
+        Its calibration.
+    window : (u0, v0, u1, v1)
+        See :func:`crop_window`.
+    parameters : DepthParameters
+        Smoothing and edges.
+
+    Returns
+    -------
+    DepthSurface
+        Of the window.
     """
     u0, v0, u1, v1 = window
     z = np.ascontiguousarray(depth[v0:v1, u0:u1], np.float32)

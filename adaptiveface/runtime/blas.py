@@ -1,4 +1,4 @@
-"""BLAS on one thread while frames are tracked, whoever asks for it and in whatever order they end."""
+"""Keep BLAS on one thread while frames are tracked, however many callers ask for that and in whatever order they end."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def focal_and_centre(path: Path, name: str, matrix: object) -> tuple[float, floa
 
 
 def rate_of(path: Path, fps: object) -> float:
-    """Frames a second as a file states them, or the usual ones where it states none, which is said."""
+    """Frames a second as a file states them, or the usual ones, with a note, where it states none."""
     if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000:
         return float(fps)
     state = "fps is missing" if fps is None else f"fps = {abbreviated(fps)} is not between 0.1 and 1000"

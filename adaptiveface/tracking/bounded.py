@@ -80,11 +80,30 @@ def bounded_least_squares(
 ) -> np.ndarray:
     """Minimise x^T H x / 2 - g^T x subject to lower <= x <= upper.
 
-    H (A, A) symmetric positive definite, g (A,), bounds (A,), ``start`` (A,) a first guess. Returns x (A,).
+    Parameters
+    ----------
+    h : (A, A)
+        Symmetric positive definite.
+    g : (A,)
+        Right-hand side.
+    lower, upper : (A,)
+        Bounds.
+    start : (A,), optional
+        A first guess; zeros without.
+    relaxation, sweeps, tolerance : float, int, float
+        Over-relaxation, most sweeps over the coefficients, and the change below which they end.
 
-    Over-relaxed Gauss-Seidel in which every update is projected onto its interval, a relaxation method for box-constrained
-    quadratic programs in the family of Sugimoto et al. 1995 (theirs updates in parallel, ours in sequence). Clipping the
-    unbounded solution instead is wrong whenever coefficients interact: the others must make up for a clipped one.
+    Returns
+    -------
+    (A,)
+        The minimum.
+
+    Notes
+    -----
+    Gauss-Seidel with over-relaxation, in which every update is projected onto its interval: a relaxation method for
+    box-constrained quadratic programs in the family of Sugimoto et al. 1995 (theirs updates in parallel, ours in sequence).
+    It would be wrong to clip the unbounded solution instead wherever coefficients interact, since the others must make up
+    for one that is clipped.
     """
     x: np.ndarray = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
     _projected_relaxation(np.ascontiguousarray(h), g, lower, upper, x, relaxation, sweeps, tolerance)
@@ -104,8 +123,30 @@ def sparse_least_squares(
 ) -> np.ndarray:
     """Minimise x^T H x / 2 - g^T x + sum_i penalty_i |x_i| subject to lower <= x <= upper: a lasso within bounds.
 
-    As :func:`bounded_least_squares`, with ``penalty`` (A,) >= 0; each update of the relaxation is soft-thresholded on
-    both sides of zero (coordinate descent, Friedman et al. 2007).
+    Parameters
+    ----------
+    h : (A, A)
+        Symmetric positive definite.
+    g : (A,)
+        Right-hand side.
+    penalty : (A,)
+        Not negative.
+    lower, upper : (A,)
+        Bounds.
+    start : (A,), optional
+        A first guess; zeros without.
+    relaxation, sweeps, tolerance : float, int, float
+        Over-relaxation, most sweeps over the coefficients, and the change below which they end.
+
+    Returns
+    -------
+    (A,)
+        The minimum.
+
+    Notes
+    -----
+    As :func:`bounded_least_squares`, but each update is soft-thresholded on both sides of zero (coordinate descent,
+    Friedman et al. 2007).
     """
     x: np.ndarray = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
     _sparse_relaxation(np.ascontiguousarray(h), g, penalty, lower, upper, x, relaxation, sweeps, tolerance)

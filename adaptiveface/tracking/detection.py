@@ -14,7 +14,22 @@ MIN_LIFTED, FAR_APART = 12, 25.0
 
 
 def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.ndarray]:
-    """Features with depth: (indices into the 40, points (f, 3) camera frame mm); depth is the median around the pixel."""
+    """Lift the 2D features into space where there is depth.
+
+    Parameters
+    ----------
+    frame : RgbdFrame
+        With features.
+    radius : int
+        The depth of a feature is the median of the measured pixels within so many pixels of it.
+
+    Returns
+    -------
+    indices : (f,) int
+        Which of the 40 features could be lifted.
+    points : (f, 3)
+        Where they lie, camera frame, mm.
+    """
     indices, points = [], []
     height, width = frame.depth.shape
     features = frame.seen
@@ -32,10 +47,24 @@ def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.nda
 
 
 def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: float = 25.0) -> np.ndarray | None:
-    """Head-to-camera pose (4, 4) that brings the head-frame feature points (40, 3) onto the frame's features, or None.
+    """Find the pose that brings the head's features onto those of the frame (section 4.1: start and recovery).
 
-    Features lifted by the depth map are aligned rigidly, dropping the worst ones (holes, hair); where depth is missing at
-    most of them, a perspective-n-point solution of the pixels alone serves (cv2 SQPnP).
+    The features that the depth map lifts are aligned rigidly, and the worst ones (holes, hair) are dropped. Where most of
+    them lack depth, a perspective-n-point solution of the pixels alone takes over (cv2 SQPnP).
+
+    Parameters
+    ----------
+    frame : RgbdFrame
+        With or without features.
+    feature_points : (40, 3)
+        The features on the head, head frame, mm.
+    max_error : float
+        Lifted features that are farther off are dropped, mm.
+
+    Returns
+    -------
+    (4, 4) or None
+        Head frame to camera frame, mm. None where no pose is found.
     """
     if frame.features is None or frame.features.valid.sum() < 6:
         return None
@@ -61,10 +90,22 @@ def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: 
 
 
 def measured_size(frame: RgbdFrame, feature_points: np.ndarray) -> float:
-    """How many times as large as the head with ``feature_points`` (40, 3) the face in the depth map is; NaN if unknown.
+    """Compare the size of the face in the depth map with that of a head.
 
-    The median ratio of the distances between features lifted by the depth map and those of the head. No pose is needed, and
-    a wrong unit of depth multiplies it.
+    The ratio is the median over the distances between features, lifted by the depth map on one side and on the head on the
+    other. It needs no pose, and a wrong unit of depth multiplies it.
+
+    Parameters
+    ----------
+    frame : RgbdFrame
+        With or without features.
+    feature_points : (40, 3)
+        The features on the head, mm.
+
+    Returns
+    -------
+    float
+        How many times as large as the head the face is; NaN where that is unknown.
     """
     if frame.features is None or frame.depth.shape != (frame.camera.height, frame.camera.width):
         return float("nan")

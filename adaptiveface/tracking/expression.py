@@ -114,11 +114,20 @@ class Seen(NamedTuple):
 
 
 class BlendshapeFit:
-    """Equations (1) and (2): depth (point to plane) and 2D features, solved for bounded coefficients.
+    """The bounded fit of the initial blendshapes to depth (point to plane) and 2D features, equations (1) and (2).
 
-    Departures from the paper, both measured (paper-notes in the docs): the rigid pose is solved together with the
-    coefficients (``joint_pose``), because an expression biases a pose that is found alone; a ridge and a temporal penalty
-    keep coefficients that the data do not determine from wandering. ``solver`` solves the bounded problems.
+    Two departures from the paper, both measured (see the paper notes in the docs). The rigid pose is solved together with
+    the coefficients (``joint_pose``), because an expression biases a pose that is found alone. A ridge and a temporal
+    penalty keep coefficients that the data do not determine from wandering.
+
+    Parameters
+    ----------
+    actor : Actor
+        Its neutral b0 and its blendshapes B.
+    parameters : BlendshapeParameters
+        Weights, bounds and limits.
+    solver : callable
+        Solves the bounded problems, as :func:`.bounded_least_squares` does.
     """
 
     #: How rows enter the normal equations; a subclass may look at them on their way.
@@ -164,11 +173,33 @@ class BlendshapeFit:
         held: HeldPose | None = None,
         settle: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Alternate between correspondences and bounded solve; returns (pose (4, 4), x (A,)).
+        """Alternate between the search for correspondences and the bounded solve.
 
-        ``x`` the coefficients of the previous frame, ``normals`` (n, 3) head-frame normals of ``depth_vertices``.
-        Without a surface (None, and no normals) the features alone decide, with the pose ``held`` near the last one.
-        ``settle``: what becomes of the coefficients in the end (the Kalman filter); the pose is solved for those.
+        Parameters
+        ----------
+        surface : DepthSurface or None
+            The depth map around the face. Without it the features alone decide.
+        features : Features2D or None
+            The frame's 2D features.
+        camera : Camera
+            The frame's calibration.
+        pose : (4, 4)
+            The start, head frame to camera frame, mm.
+        x : (A,)
+            The coefficients of the previous frame.
+        normals : (n, 3) or None
+            Unit normals of ``depth_vertices``, head frame. None without a surface.
+        held : HeldPose, optional
+            Holds the pose near that of the last frame.
+        settle : callable, optional
+            What becomes of the coefficients in the end (the Kalman filter). The pose is solved for its result.
+
+        Returns
+        -------
+        pose : (4, 4)
+            Head frame to camera frame, mm.
+        x : (A,)
+            The coefficients.
         """
         previous, seen = x, Seen(surface, features, camera, normals)
         for number in range(self.parameters.iterations, 0, -1):
@@ -232,9 +263,21 @@ class BlendshapeFit:
         self.add_rows(equations, jacobian, distances, weights, current)
 
     def solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Eliminate the unbounded pose update (Schur complement) and solve the bounded coefficients.
+        """Eliminate the unbounded pose update (Schur complement), and solve for the bounded coefficients.
 
-        Returns them (A,), and the function that substitutes coefficients back: the pose update (6,) that fits them best.
+        Parameters
+        ----------
+        equations : NormalEquations
+            In the pose update and the coefficients.
+        x : (A,)
+            A first guess.
+
+        Returns
+        -------
+        x : (A,)
+            The coefficients.
+        update_for : callable
+            The pose update (6,) that fits given coefficients (A,) best.
         """
         h, g, count = equations.h, equations.g, len(x)
         lower, upper = np.full(count, self.parameters.lower), np.full(count, self.parameters.upper)

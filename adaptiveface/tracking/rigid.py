@@ -25,7 +25,17 @@ StepSolver = Callable[[np.ndarray, Correspondences, np.ndarray, np.ndarray], np.
 
 @dataclass(frozen=True)
 class RigidFit:
-    """``pose`` (4, 4) head to camera; ``correspondences`` at that pose; ``residual`` their mean distance, mm."""
+    """Where rigid ICP has ended.
+
+    Attributes
+    ----------
+    pose : (4, 4)
+        Head frame to camera frame, mm.
+    correspondences : Correspondences
+        The matches at that pose.
+    residual : float
+        Their mean distance, mm.
+    """
 
     pose: np.ndarray
     correspondences: Correspondences
@@ -33,10 +43,16 @@ class RigidFit:
 
 
 class RigidTracker:
-    """Aligns a head-frame shape to the depth map by a few ICP steps, until they move it no more.
+    """Aligns a head-frame shape to the depth map by a few ICP steps, until they no longer move it (section 4.1).
 
-    ``vertex_weights`` (n,): how much each vertex counts; those that move least in expressions should lead.
-    ``solve``: computes one step, as :func:`.point_to_plane_step` does.
+    Parameters
+    ----------
+    vertex_weights : (n,)
+        How much each vertex counts. The vertices that move least in expressions should lead.
+    parameters : RigidParameters
+        Limits, weights and the stop rule.
+    solve : callable
+        Computes one step, as :func:`.point_to_plane_step` does.
     """
 
     def __init__(
@@ -45,7 +61,22 @@ class RigidTracker:
         self.vertex_weights, self.parameters, self._solve = vertex_weights, parameters, solve
 
     def align(self, surface: DepthSurface, shape: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> RigidFit:
-        """Refine ``pose`` for a shape (n, 3) with unit normals (n, 3) in the head frame."""
+        """Refine a pose.
+
+        Parameters
+        ----------
+        surface : DepthSurface
+            The depth map around the face.
+        shape, normals : (n, 3)
+            Points, mm, and their unit normals, head frame.
+        pose : (4, 4)
+            The start, head frame to camera frame, mm.
+
+        Returns
+        -------
+        RigidFit
+            The pose at which ICP stops.
+        """
         p, middle = self.parameters, shape.mean(axis=0)
 
         def associate(pose: np.ndarray) -> Correspondences:

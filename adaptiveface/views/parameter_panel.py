@@ -37,8 +37,8 @@ class ParameterPanel:
     """One control per parameter. ``widget`` is what to display; ``parameters`` the values that were last applied.
 
     ``names``: stages ("laplacian") or parameters ("adaptive_pca.K"), in the order of display; several stages become
-    tabs. ``on_change(parameters)`` is called for every change; when it (or a value) is refused, the message stands in
-    the panel and ``parameters`` stays as it was. ``ranges``: name -> (low, high), for a slider narrower than the
+    tabs. ``on_change(parameters)`` is called for every change. When it refuses the change, or a value is out of range, the
+    panel shows the message and ``parameters`` stays as it was. ``ranges``: name -> (low, high), for a slider narrower than the
     parameter's own range. ``expressions``: how many the actor has, where A's slider ends. Buttons set the paper's value
     where it differs from the default, and go back. A parameter changes only when its control is moved.
     """

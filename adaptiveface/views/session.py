@@ -144,7 +144,7 @@ def _recorded(source: str, neutral_frames: int | range, count: int, first: int) 
 
 
 def _calm(name: str, found: list[RgbdFrame], count: int) -> list[RgbdFrame]:
-    """The neutral frames: the first ones, or calmer ones where these are turned away or moving, which is said."""
+    """The neutral frames: the first ones, or calmer ones, with a note, where these are turned away or moving."""
     model = face_model.embedded_face_model()
     points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
     faces = [frame for frame in found if face_found(frame)][:LOOK]
