@@ -143,6 +143,22 @@ def test_lips_at_rest_cover_the_teeth(model, seed):
     assert points[parts["lower teeth, tongue"]][: len(insides.upper), 1].max() < lower[1]
 
 
+def test_the_mouth_opens_behind_lips_that_cross_in_the_neutral(model):
+    """Fitted to a smile, the lips of a neutral may cross: the mouth was inside out then, and hid the teeth."""
+    usual = make_insides(model.mean, model.triangles)
+    rim = usual.mouth_loop
+    upper = usual.mouth_height > 0
+    crossed = model.mean.copy()
+    crossed[rim[upper], 1] -= 2.0
+    crossed[rim[~upper], 1] += 2.0
+    insides = make_insides(crossed, model.triangles)
+    jaw = model.generic_expressions[model.generic_names.index("jawOpen")]
+    points = insides.at(crossed + jaw)
+    behind = points[parts_of(insides)["mouth"]][: len(rim)]  # the ring next to the lips
+    middle = np.abs(behind[:, 0]) < 8.0
+    assert behind[middle & upper, 1].min() > behind[middle & ~upper, 1].max() + 10.0
+
+
 def test_meshes_of_other_models_have_no_parts(model):
     assert make_insides(model.mean, model.triangles[:-1]) is None
 

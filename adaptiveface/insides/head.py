@@ -168,7 +168,7 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     centres, radii = _eyes(model, neutral, lids)
     near = tuple(np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0) for loop in lids)
     upper, lower, triangles_of_row, colours_of_row, tongue = _mouth_parts(marks)
-    height = rim_height(neutral[mouth]) * _MOUTH_HEIGHT
+    height = rim_height(model.mean[mouth]) * _MOUTH_HEIGHT  # not of this head, whose lips may cross
     ball, ball_triangles, ball_colours = eyeball_mesh(iris)
     flesh = np.array([[206, 148, 138], [150, 92, 88]], float)
     pieces, colours = [], []
@@ -241,8 +241,9 @@ def _mouth_parts(marks: np.ndarray):
     front = min(place[62][2], place[66][2]) - 5.3 * size
     row, triangles, colours = teeth_mesh(26.0 * size, 40.0 * size, 9.0 * size)
     # At rest lips cover both rows: a neutral scan leaves a slit between them even where a person keeps them closed.
-    upper = row + [line[0], place[62][1] + 0.5 * size, front]
-    lower = row * [0.95, -0.9, 1.0] + [line[0], place[66][1] - 1.0 * size, front - 3.0 * size]
+    slit = 0.5 * max(place[62][1] - place[66][1], 0.0)
+    upper = row + [line[0], line[1] + min(slit + 0.3 * size, 1.5 * size), front]
+    lower = row * [0.95, -0.9, 1.0] + [line[0], line[1] - slit - 1.0 * size, front - 3.0 * size]
     tongue, tongue_triangles, tongue_colours = tongue_mesh(17.0 * size, 45.0 * size)
     tongue = tongue + [line[0], line[1] - 7.0 * size, front - 8.0 * size]
     return upper, lower, triangles, colours, (tongue, tongue_triangles, tongue_colours)
