@@ -43,6 +43,7 @@ class FaceView:
     ) -> None:
         vertices, self._triangles = np.asarray(vertices, float), np.asarray(triangles)
         self.titles, self.limits, self._closed = tuple(titles), tuple(map(float, limits)), False
+        self.pane = pane
         self.colourmap = colourmap or (SIGNED if limits[0] < 0 else COLOURMAP)
         self.centre = vertices.mean(axis=0) if centre is None else np.asarray(centre, float)
         rows, columns = shape or (1, len(titles))

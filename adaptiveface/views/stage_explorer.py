@@ -92,7 +92,10 @@ class StageExplorer:
     def _lay_out(self, restart: widgets.Widget) -> None:
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         charts = [chart.widget for chart, _ in self.charts] + ([self.camera.widget] if self.camera else [])
-        # Heads beside sliders, player and charts below: on a laptop all of it is in sight at once.
+        # Heads beside sliders, player and charts below: on a laptop all of it is in sight at once. Where a list of files takes
+        # its share, the heads become a little smaller before the sliders go below them.
+        wide = self.view.pane[0] * len(self.panes)
+        self.view.widget.layout = widgets.Layout(flex=f"1 1 {int(0.78 * wide)}px", max_width=f"{wide + 4}px", min_width="0")
         parts = [
             self.verdict,
             widgets.HBox([self.view.widget, widgets.VBox([self.panel.widget, self.message])], layout=row),
