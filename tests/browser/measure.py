@@ -1,4 +1,6 @@
-"""Measure in a real browser how the notebooks feel: ``python tests/browser/measure.py [live]`` (only the live view).
+"""Measure in a real browser how the notebooks feel: ``python tests/browser/measure.py [live | line]``.
+
+``live``: only the live view; ``line``: only turning and playback, over a line of 100 ms and 20 Mbit/s.
 
 Prints the median time from a slider's movement to the new picture on the page, the pictures per second of a head that is
 turned (with an idle and a busy kernel), of a playback that learns, and of the live view.
@@ -15,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 import lab
+from line import slow_line
 
 STEPS, SECONDS = 25, 8.0
 
@@ -96,9 +99,27 @@ def live_view(folder: Path, address: str) -> None:
         lab.run_code(page, "view.close()")
 
 
+def over_a_line(address: str, names) -> None:
+    """Turning and playback when the server is 100 ms away, behind 20 Mbit/s."""
+    with slow_line(int(address.rpartition(":")[2])) as port:
+        for name in names:
+            with lab.chromium_page() as page:
+                lab.open_notebook(page, f"http://127.0.0.1:{port}", name)
+                lab.run_cells(page, lab.cell_with(name, "views.StageExplorer("))
+                page.wait_for_timeout(3000)
+                turning = rotation_rate(page, busy=True)
+                page.wait_for_timeout(1500)
+                playing = playback_rate(page, ".adaptiveface-play")
+                load = f"load {os.getloadavg()[0]:.1f}"
+                print(f"{name} over 100 ms, 20 Mbit/s: rotation {turning:.1f}, playback {playing:.1f} pictures/s ({load})")
+
+
 def main() -> None:
     names = ("05_laplacian_deformation.ipynb", "06_incremental_pca.ipynb")
     with tempfile.TemporaryDirectory() as folder, lab.jupyter_lab(Path(folder), names) as address:
+        if "line" in sys.argv[1:]:
+            over_a_line(address, names)
+            return
         live_view(Path(folder), address)
         for name, parameter in zip(names, ("laplacian.w2", "adaptive_pca.K"), strict=True):
             if "live" in sys.argv[1:]:
