@@ -152,11 +152,11 @@ def test_the_mouth_opens_behind_lips_that_cross_in_the_neutral(model):
     crossed[rim[upper], 1] -= 2.0
     crossed[rim[~upper], 1] += 2.0
     insides = make_insides(crossed, model.triangles)
-    jaw = model.generic_expressions[model.generic_names.index("jawOpen")]
-    points = insides.at(crossed + jaw)
-    behind = points[parts_of(insides)["mouth"]][: len(rim)]  # the ring next to the lips
-    middle = np.abs(behind[:, 0]) < 8.0
-    assert behind[middle & upper, 1].min() > behind[middle & ~upper, 1].max() + 10.0
+    behind = insides.at(crossed)[parts_of(insides)["mouth"]][: len(rim)]  # the ring next to the lips
+    widened = behind[:, 1] - crossed[rim, 1]
+    assert widened[upper].min() > 0.0 > widened[insides.mouth_height < 0].max()
+    lip = model.generic_expressions[model.generic_names.index("mouthUpperUp")][rim, 1]
+    assert lip[upper].mean() > 2.0 > 1.0 > lip[~upper].mean()
 
 
 def test_meshes_of_other_models_have_no_parts(model):

@@ -168,7 +168,8 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     centres, radii = _eyes(model, neutral, lids)
     near = tuple(np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0) for loop in lids)
     upper, lower, triangles_of_row, colours_of_row, tongue = _mouth_parts(marks)
-    height = rim_height(model.mean[mouth]) * _MOUTH_HEIGHT  # not of this head, whose lips may cross
+    # Upper and lower lip are told apart where the model's mouth is open: at rest they touch, and may cross in a head.
+    height = rim_height((model.mean + model.expressions[model.expression_names.index("jawOpen")])[mouth]) * _MOUTH_HEIGHT
     ball, ball_triangles, ball_colours = eyeball_mesh(iris)
     flesh = np.array([[206, 148, 138], [150, 92, 88]], float)
     pieces, colours = [], []
