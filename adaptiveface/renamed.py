@@ -1,8 +1,7 @@
 """Keep old names working for one more version, with a ``DeprecationWarning``.
 
-One table is for classes (parameters, keywords and attributes), one for names in modules, one for modules. A name in a file
-(``rigid`` in ``result.npz``, the parameters stored there) is no name of the program: files keep theirs and are read without
-a warning.
+One table is for classes (parameters, keywords and attributes), one for names in modules, one for modules. Files keep the names
+that they have (``rigid`` in ``result.npz``, the parameters stored there), and are read without a warning.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ AnyClass = TypeVar("AnyClass", bound=type)
 
 def warn(old: str, new: str, stacklevel: int = 3) -> None:
     """Say that ``old`` is called ``new``; ``stacklevel`` as of :func:`warnings.warn`, seen from here."""
-    warnings.warn(f"{old} is now called {new}; the old name goes with the next version", DeprecationWarning, stacklevel)
+    warnings.warn(f"{old} is now called {new}; the next version is without the old name", DeprecationWarning, stacklevel)
 
 
 def renamed(cls: AnyClass) -> AnyClass:

@@ -24,11 +24,24 @@ _MIN_CORRESPONDENCES = 300
 
 @dataclass(frozen=True)
 class IdentityFit:
-    """Result of :func:`fit_identity`.
+    """What :func:`fit_identity` found.
 
-    identity (M,) coefficients, standard deviations; scan_from_head (4, 4): model head frame to scan frame; vertices
-    (V, 3): the fitted head in the head frame, mm; residual: median point-to-plane distance, mm; matched (V,) bool:
-    vertices with a scan correspondence; feature_rms (40,) mm, NaN where unseen; history (I,): residual per round, mm.
+    Attributes
+    ----------
+    identity : (M,)
+        Coefficients, standard deviations.
+    scan_from_head : (4, 4)
+        Head frame of the model to the frame of the scan, mm.
+    vertices : (V, 3)
+        The fitted head, head frame, mm.
+    residual : float
+        Median point-to-plane distance to the scan, mm.
+    matched : (V,) bool
+        Vertices with a scan correspondence.
+    feature_rms : (40,)
+        Distance of each feature from its viewing rays, mm; NaN where it was not seen.
+    history : (I,)
+        The residual after each round, mm.
     """
 
     identity: np.ndarray
@@ -74,10 +87,29 @@ class ScanSearch:
 
 
 def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = DEFAULTS) -> IdentityFit:
-    """Solve for the global rigid transformation and the identity coefficients (paper, section 3).
+    """Solve for the global rigid transformation and the identity coefficients (section 3).
 
-    Alternates closest points with one Gauss-Newton step on all unknowns; first the pose alone, then a growing number of
-    modes. Raises :class:`TrackingError` when the scan and the model do not meet.
+    Each round finds the closest points and makes one Gauss-Newton step on all unknowns. The first rounds solve for the pose
+    alone, later ones for a growing number of modes.
+
+    Parameters
+    ----------
+    scan : FusedScan
+        The merged neutral scan.
+    model : FaceModel
+        Its mean and identity modes.
+    parameters : FitParameters
+        Weights and limits.
+
+    Returns
+    -------
+    IdentityFit
+        The fitted head.
+
+    Raises
+    ------
+    TrackingError
+        The scan and the model do not meet.
     """
     search = ScanSearch(scan)
     modes = min(parameters.modes, len(model.identity_modes))

@@ -36,12 +36,26 @@ class Placed(NamedTuple):
 
 @dataclass(frozen=True)
 class FusedScan:
-    """The merged neutral scan, in a frame close to the model's head frame, mm.
+    """The merged neutral scan, in a frame close to the model's head frame.
 
-    points, normals (P, 3); weights (P,): accumulated view weight, about the number of frames that saw the point; frames
-    (K,) int: numbers of the frames used (positions in the sequence), poses (K, 4, 4): scan to camera of each; residuals
-    (K,): median point-to-plane distance of each to the merged surface, mm; features: (K,) the 2D features of each, or
-    None; cameras (K,); noise: what the frames' noise left in the points, mm, 0 where it is not known.
+    Attributes
+    ----------
+    points, normals : (P, 3)
+        Points, mm, and their unit normals.
+    weights : (P,)
+        Accumulated view weight, about the number of frames that saw the point.
+    frames : (K,) int
+        Which frames were used, by their position in the sequence.
+    poses : (K, 4, 4)
+        Scan frame to camera frame of each, mm.
+    residuals : (K,)
+        Median point-to-plane distance of each to the merged surface, mm.
+    features : sequence of Features2D or None
+        The 2D features of each.
+    cameras : sequence of Camera
+        The calibration of each.
+    noise : float
+        What the frames' noise left in the points, mm; 0 where that is not known.
     """
 
     points: np.ndarray
@@ -96,12 +110,33 @@ def fuse_frames(
     parameters: FusionParameters = DEFAULTS,
     progress: Progress | None = None,
 ) -> FusedScan:
-    """Register the frames to the growing model surface and merge them in a volume (paper, section 3).
+    """Register the frames to the growing model surface, and merge them in a volume (section 3).
 
-    Starts at the most frontal frame, whose 2D features give the first pose, and walks forwards and backwards from
-    there, each frame starting at its neighbour's pose. Aligning to the merged surface instead of the neighbour avoids
-    drift; a second pass aligns every frame to the whole surface. Frames that cannot be read or registered are left
-    out. Raises :class:`TrackingError` when no face is found.
+    The walk starts at the most frontal frame, whose 2D features give the first pose. From there it goes forwards and
+    backwards, and each frame starts at its neighbour's pose. Aligning a frame to the merged surface instead of to its
+    neighbour avoids drift. A second pass aligns every frame to the whole surface. Frames that cannot be read or registered
+    are left out.
+
+    Parameters
+    ----------
+    frames : sequence of RgbdFrame
+        Of the neutral face, some of them with 2D features.
+    model : FaceModel
+        Its mean head and features give the first pose and the volume's place.
+    parameters : FusionParameters
+        Of the volume and of ICP.
+    progress : callable, optional
+        Called with the name of the step and the share done, 0 to 1.
+
+    Returns
+    -------
+    FusedScan
+        The merged points with the frames that made them.
+
+    Raises
+    ------
+    TrackingError
+        No face was found.
     """
     report = progress or (lambda step, share: None)
     readable = _readable(frames)

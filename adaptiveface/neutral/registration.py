@@ -25,10 +25,18 @@ _DEPTH_JUMP = 10.0  # mm between neighbouring pixels: an occlusion boundary, whe
 
 @dataclass(frozen=True)
 class DepthView:
-    """The head's part of a depth frame: what registration and integration read.
+    """The head's part of a depth frame, as registration and integration read it.
 
-    camera: of the cropped image (h, w); points (h, w, 3) mm, from the measured depth; normals (h, w, 3) unit, towards
-    the camera, from the smoothed depth; valid (h, w) bool: measured, with a normal, away from depth boundaries.
+    Attributes
+    ----------
+    camera : Camera
+        Of the cropped image (h, w).
+    points : (h, w, 3)
+        From the measured depth, camera frame, mm.
+    normals : (h, w, 3)
+        Unit normals towards the camera, from the smoothed depth.
+    valid : (h, w) bool
+        Measured, with a normal, and away from depth boundaries.
     """
 
     camera: Camera
@@ -47,10 +55,18 @@ class DepthView:
 
 @dataclass(frozen=True)
 class Registration:
-    """Result of :func:`align`.
+    """What :func:`align` found.
 
-    pose (4, 4); residual: median absolute point-to-plane distance, mm; overlap: share of the model points turned to the
-    camera that found a partner; correspondences: their number.
+    Attributes
+    ----------
+    pose : (4, 4)
+        Model frame to camera frame, mm.
+    residual : float
+        Median absolute point-to-plane distance, mm.
+    overlap : float
+        Share of the model points turned to the camera that found a partner.
+    correspondences : int
+        Their number.
     """
 
     pose: np.ndarray
@@ -61,10 +77,18 @@ class Registration:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Correspondences in the camera frame, millimetres.
+    """Correspondences of n model points, camera frame.
 
-    points, normals (n, 3) of the model; distances (n,): signed, from the depth along the model's normal; cosines (n,)
-    of the viewing angle; visible: number of model points turned to the camera.
+    Attributes
+    ----------
+    points, normals : (n, 3)
+        Of the model, mm, and unit length.
+    distances : (n,)
+        Signed, from the depth along the model's normal, mm.
+    cosines : (n,)
+        Of the viewing angle.
+    visible : int
+        Number of model points that are turned to the camera.
     """
 
     points: np.ndarray
@@ -121,10 +145,26 @@ def _surface(depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray,
 def align(
     view: DepthView, points: np.ndarray, normals: np.ndarray, pose: np.ndarray, parameters: FusionParameters
 ) -> Registration:
-    """Register the model surface ``points``, ``normals`` (n, 3) to a depth view, from the starting ``pose``.
+    """Register the model surface to a depth view.
 
-    Each iteration pairs every model point turned to the camera with the pixel it projects to, rejects pairs by
-    distance, normal and boundary, and takes one Gauss-Newton step on the robust point-to-plane energy.
+    Each iteration pairs every model point that is turned to the camera with the pixel that it projects to. It rejects pairs
+    by distance, normal and boundary, and takes one Gauss-Newton step on the robust point-to-plane energy.
+
+    Parameters
+    ----------
+    view : DepthView
+        The depth to register to.
+    points, normals : (n, 3)
+        Of the model surface, model frame, mm, and unit length.
+    pose : (4, 4)
+        The start, model frame to camera frame, mm.
+    parameters : FusionParameters
+        Limits and the number of iterations.
+
+    Returns
+    -------
+    Registration
+        The last pose, and how well it fits.
     """
     limit = parameters.max_correspondence_distance
 

@@ -55,9 +55,25 @@ def shrink_wrap(
     parameters: ShrinkWrapParameters = DEFAULTS,
     hair: np.ndarray | None = None,
 ) -> ShrinkWrap:
-    """Warp the fitted head ``vertices`` (V, 3), given in the scan's frame, onto the scan (paper, section 3).
+    """Warp the fitted head onto the scan (section 3).
 
-    What lies under ``hair`` (V,) meets no scan, and keeps the shape that was fitted.
+    Parameters
+    ----------
+    scan : FusedScan
+        The merged neutral scan.
+    model : FaceModel
+        The mesh that is warped; its rims and contacts.
+    vertices : (V, 3)
+        The fitted head, in the scan's frame, mm.
+    parameters : ShrinkWrapParameters
+        Weights and limits.
+    hair : (V,) bool, optional
+        Vertices that lie under hair. They meet no scan, and keep the shape that was fitted.
+
+    Returns
+    -------
+    ShrinkWrap
+        The warped mesh, in the scan's frame, mm.
     """
     search = ScanSearch(scan)
     parameters = smoothed(parameters, scan.noise)

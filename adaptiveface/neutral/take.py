@@ -50,10 +50,25 @@ class NeutralTake:
 def neutral_of(
     reader: Reader, wanted: int | range | None, points: np.ndarray, most: int, step: Step = lambda: None
 ) -> NeutralTake:
-    """The neutral frames that ``reader`` (a :class:`~adaptiveface.pipeline.FrameReader`) finds in its source.
+    """Choose the neutral frames of a source.
 
-    ``wanted``: how many of the leading ones with a face, these very ones (a range), or None for all, at most ``most``
-    of them, spread evenly; ``points`` (40, 3): the model's features; ``step`` is called at every frame.
+    Parameters
+    ----------
+    reader : Reader
+        Reads the source's frames.
+    wanted : int, range or None
+        How many of the leading frames with a face; these very frames; or all, at most ``most`` of them, spread evenly.
+    points : (40, 3)
+        The model's features, mm.
+    most : int
+        See ``wanted``.
+    step : callable
+        Called at every frame that is taken.
+
+    Returns
+    -------
+    NeutralTake
+        The frames, and what is doubtful about them.
     """
     length = len(reader.source)
     if wanted is None:
