@@ -74,7 +74,10 @@ def test_without_webgl_the_same_picture_is_drawn(tmp_path):
 
     model = embedded_face_model()
     wide = model.mean + model.expressions[model.expression_names.index("jawOpen")]
-    view = FaceView(model.mean, model.triangles, ["skin", "values", "points"], limits=(-80, 80), label="mm", pane=(150, 165))
+    moving = wide[:, 1] != model.mean[:, 1]
+    view = FaceView(
+        model.mean, model.triangles, ["skin", "values", "points"], limits=(-80, 80), label="mm", pane=(150, 165), moving=moving
+    )
     view.show(1, wide, model.mean[:, 1])
     view.show_points(2, model.mean, model.mean[:, 0], vertex_normals(model.mean, model.triangles), size=4)
     view.hide_head(2)

@@ -121,10 +121,18 @@ def walk(widget):
 
 def sent(view, pane: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions (N, 3) mm and values (N,) that the browser has of a pane; of codes, as heads.js decodes them."""
-    one = view._image.frame[pane]
+    one, made = view._image.frame[pane], view._image.geometry[pane]
     codes, (low, high) = np.frombuffer(one["values"], "<u2").astype(float), one["range"]
     values = np.where(codes == 65535, np.nan, low + codes * (high - low) / 65534)
-    return np.frombuffer(one["positions"], "<i2").reshape(-1, 3) / 64, values
+    positions = np.frombuffer(one["positions"], "<i2").reshape(-1, 3) / 64
+    moving = np.frombuffer(made.get("moving", b""), "<u4")
+    if len(positions) < made["count"]:
+        everywhere = np.frombuffer(made["rest"], "<i2").reshape(-1, 3) / 64
+        everywhere[moving], positions = positions, everywhere
+    if 0 < len(values) < made["count"]:
+        everywhere = np.full(made["count"], np.nan)
+        everywhere[moving], values = values, everywhere
+    return positions, values
 
 
 def test_face_view_shows_heat_motion_and_camera(session):
@@ -143,6 +151,23 @@ def test_face_view_shows_heat_motion_and_camera(session):
     assert turned[:, :160].mean() > 0.05 and turned[:, 160:].mean() > 0.05, "the cameras are linked"
     assert view._image.camera == [45.0, 0.0, 1.0], "the browser turns, too"
     view.close()
+
+
+def test_of_vertices_that_rest_nothing_is_sent(session):
+    actor = session.actor
+    view = views.FaceView.of(actor, ("one",), limits=(0, 2))
+    moved = actor.neutral + 3 * actor.blendshapes[0]
+    heat = np.where(actor.frontal, 1.0 + np.arange(len(actor.neutral)) / 1e4, np.nan)
+    sizes = []
+    for vertices, values in ((moved, heat), (moved + 1, heat), (moved, np.ones(len(moved)))):
+        view.show(0, vertices, values)
+        view.refresh()
+        seen = sent(view, 0)
+        assert np.abs(seen[0] - vertices).max() < 0.01
+        np.testing.assert_allclose(seen[1], values, atol=1e-4)
+        sizes.append([len(view._image.frame[0][name]) // size for name, size in (("positions", 6), ("values", 2))])
+    moving = (actor.frontal | (actor.blendshapes != 0).any(axis=(0, 2))).sum()
+    assert sizes == [[moving, moving], [len(moved), moving], [moving, len(moved)]] and moving < 0.8 * len(moved)
 
 
 def test_the_browser_gets_what_is_shown(session):

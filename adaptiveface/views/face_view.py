@@ -23,6 +23,7 @@ class FaceView:
     those of signed values where the range begins below zero. ``shape`` (rows, columns) of the panes. ``centre`` (3,) mm of
     what is looked at, ``radius`` mm of what is seen of it. ``compare``: with several panes a slider enlarges their
     difference from the first one. Cameras are linked: turn, tilt and zoom act on all.
+    ``moving`` (N,) bool: of the other vertices nothing is sent while they rest.
 
     Heads of the embedded model's mesh have eyes, teeth and tongue, fitted to ``vertices``, which are somebody's neutral head.
     """
@@ -40,6 +41,7 @@ class FaceView:
         colourmap: str | None = None,
         radius: float = 138.0,
         compare: bool = False,
+        moving: np.ndarray | None = None,
     ) -> None:
         vertices, self._triangles = np.asarray(vertices, float), np.asarray(triangles)
         self.titles, self.limits, self._closed = tuple(titles), tuple(map(float, limits)), False
@@ -52,8 +54,11 @@ class FaceView:
         motion = None if insides is None else insides.motion(vertices)
         self._shown = [still.Shown(vertices, insides=insides, motion=motion) for _ in titles]
         self._rests = [heads.rest(insides)] * len(titles)
+        self._moving = None if moving is None else heads.Moving(moving, vertices)
+        geometry = heads.geometry(len(vertices), self._triangles, insides=insides)
+        geometry |= {} if self._moving is None else self._moving.sent()
         self._image = heads.Heads(
-            geometry=[heads.geometry(len(vertices), self._triangles, insides=insides)] * len(titles),
+            geometry=[geometry] * len(titles),
             rests=self._rests,
             frame=self._frame(),
             titles=list(self.titles),
@@ -73,7 +78,8 @@ class FaceView:
     def of(cls, actor: Actor, titles: Sequence[str] = ("",), **options) -> FaceView:
         """The view of an actor's head, looking at the face."""
         centre = actor.neutral[actor.frontal].mean(axis=0)
-        return cls(actor.neutral, actor.triangles, titles, centre=centre, **options)
+        moving = actor.frontal | (actor.blendshapes != 0).any(axis=(0, 2))
+        return cls(actor.neutral, actor.triangles, titles, centre=centre, moving=moving, **options)
 
     def show(
         self,
@@ -141,7 +147,7 @@ class FaceView:
         """What the browser shows, pane by pane."""
         out = []
         for k, shown in enumerate(self._shown):
-            one = heads.shape(shown.vertices, shown.heat, self._compare and k > 0, shown.visible)
+            one = heads.shape(shown.vertices, shown.heat, self._compare and k > 0, shown.visible, self._moving)
             if shown.motion is not None:
                 one["inside"] = heads.inside(*shown.motion)
             out.append(one | ({"points": heads.points(*shown.cloud)} if shown.cloud else {}))

@@ -61,6 +61,25 @@ def palette(colourmap: str) -> bytes:
     return (colormaps[colourmap](np.linspace(0, 1, 256))[:, :3] * 255).round().astype(np.uint8).tobytes()
 
 
+class Moving:
+    """The vertices of a head that move (N,) bool, and where all of them rest, (N, 3) mm: of the others nothing need be sent."""
+
+    def __init__(self, mask: np.ndarray, rest: np.ndarray) -> None:
+        self.mask, self.rest = mask, _whole(rest)
+
+    def sent(self) -> dict:
+        """What the browser has to know of it."""
+        return {"moving": np.flatnonzero(self.mask).astype("<u4").tobytes(), "rest": self.rest.tobytes()}
+
+    def positions(self, whole: np.ndarray) -> np.ndarray:
+        """Of positions (N, 3) in whole steps those that have to be sent."""
+        return whole[self.mask] if np.array_equal(whole[~self.mask], self.rest[~self.mask]) else whole
+
+    def values(self, codes: np.ndarray) -> np.ndarray:
+        """Of codes (N,) those that have to be sent; the others are unknown."""
+        return codes[self.mask] if len(codes) and (codes[~self.mask] == UNKNOWN).all() else codes
+
+
 def geometry(count: int, triangles: np.ndarray, colours: np.ndarray | None = None, insides: Insides | None = None) -> dict:
     """What a pane's head is made of: number of vertices, triangles (T, 3), colours (N, 3) uint8 or None for skin."""
     own = b"" if colours is None else np.asarray(colours, np.uint8).tobytes()
@@ -81,33 +100,48 @@ def inside(placements: np.ndarray, soft: np.ndarray) -> dict:
     return {"placements": np.asarray(placements, "<f4").tobytes(), "soft": _steps(soft)}
 
 
-def shape(vertices: np.ndarray, heat: np.ndarray | None, differs: bool = False, visible: bool = True) -> dict:
-    """What a pane's head looks like: vertices (N, 3) mm, heat (N,) or None.
+def shape(
+    vertices: np.ndarray,
+    heat: np.ndarray | None,
+    differs: bool = False,
+    visible: bool = True,
+    moving: Moving | None = None,
+) -> dict:
+    """What a pane's head looks like: vertices (N, 3) mm, heat (N,) or None; fewer of both with ``moving``.
 
     ``differs``: from the first pane's head, and the difference can be drawn larger than it is.
     """
-    values, span = _coded(heat)
-    return {"positions": _steps(vertices), "differs": differs, "values": values, "range": span, "visible": visible}
+    codes, span = _codes(heat)
+    positions = _whole(vertices)
+    if moving is not None:
+        positions, codes = moving.positions(positions), moving.values(codes)
+    sent = {"positions": positions.tobytes(), "values": codes.tobytes()}
+    return sent | {"differs": differs, "range": span, "visible": visible}
 
 
 def points(positions: np.ndarray, values: np.ndarray, normals: np.ndarray | None, size: float) -> dict:
     """A cloud: positions (n, 3) mm, values (n,), unit normals (n, 3) or None, ``size`` of a point in pixels."""
-    coded, span = _coded(values)
+    codes, span = _codes(values)
     directions = b"" if normals is None else np.round(127 * np.asarray(normals)).astype(np.int8).tobytes()
-    return {"positions": _steps(positions), "values": coded, "range": span, "normals": directions, "size": size}
+    return {"positions": _steps(positions), "values": codes.tobytes(), "range": span, "normals": directions, "size": size}
 
 
 def _steps(positions: np.ndarray) -> bytes:
-    return np.clip(np.round(np.asarray(positions) / STEP_MM), -32768, 32767).astype("<i2").tobytes()
+    return _whole(positions).tobytes()
 
 
-def _coded(values: np.ndarray | None) -> tuple[bytes, list[float]]:
+def _whole(positions: np.ndarray) -> np.ndarray:
+    """Positions in mm as whole numbers of :data:`STEP_MM`."""
+    return np.clip(np.round(np.asarray(positions) / STEP_MM), -32768, 32767).astype("<i2")
+
+
+def _codes(values: np.ndarray | None) -> tuple[np.ndarray, list[float]]:
     """Values as 16-bit codes, and the ends of their range."""
     if values is None:
-        return b"", [0.0, 1.0]
+        return np.zeros(0, "<u2"), [0.0, 1.0]
     values = np.asarray(values, float)
     known = np.isfinite(values)
     low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
     scale = (UNKNOWN - 1) / max(high - low, 1e-9)
     codes = np.where(known, np.round((np.where(known, values, low) - low) * scale), UNKNOWN)
-    return codes.astype("<u2").tobytes(), [low, max(high, low + 1e-9)]
+    return codes.astype("<u2"), [low, max(high, low + 1e-9)]

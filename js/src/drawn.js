@@ -50,8 +50,11 @@ class Drawn {
 }
 
 export class Head extends Drawn {
-  constructor({ count, triangles, colours }, bytes) {
+  constructor({ count, triangles, colours, moving, rest }, bytes) {
     super();
+    this.count = count;
+    this.moving = new Uint32Array(bytes(moving));
+    this.rests = millimetres(rest, bytes); // where those are that do not move
     this.own = colours ? new Uint8Array(bytes(colours)) : null;
     this.triangles = new Uint32Array(bytes(triangles));
     this.position = new Float32Array(3 * count);
@@ -60,9 +63,20 @@ export class Head extends Drawn {
   }
 
   setShape({ positions, values, range }, base, bytes, factor) {
-    const at = millimetres(positions, bytes);
-    this.place(at, base && factor !== 1 ? millimetres(base.positions, bytes) : null, factor);
-    this.values = decoded(values, range, bytes);
+    const at = this.everywhere(millimetres(positions, bytes), 3, this.rests);
+    const from = base && factor !== 1 ? this.everywhere(millimetres(base.positions, bytes), 3, this.rests) : null;
+    this.place(at, from, factor);
+    const known = decoded(values, range, bytes);
+    this.values = known && this.everywhere(known, 1, null);
+  }
+
+  // Numbers of every vertex, "each" so many, of those that are given for the moving ones only; "others" have theirs, or none.
+  everywhere(given, each, others) {
+    if (given.length === each * this.count) return given;
+    const all = others ? others.slice() : new Float32Array(each * this.count).fill(NaN);
+    for (let k = 0, next = 0; k < this.moving.length; k++)
+      for (let c = 0; c < each; c++) all[each * this.moving[k] + c] = given[next++];
+    return all;
   }
 
   // Vertices "at", as far again from those they differ from as "factor" says.

@@ -32,6 +32,7 @@ def slow_line(port: int, milliseconds: float = 100.0, megabits: float = 20.0) ->
         await server.serve_forever()
 
     def run() -> None:
+        asyncio.set_event_loop(loop)
         task = loop.create_task(serve())
         with suppress(asyncio.CancelledError):
             loop.run_until_complete(task)
