@@ -22,7 +22,8 @@ def slow_line(port: int, milliseconds: float = 100.0, megabits: float = 20.0) ->
         async def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             there, back = await asyncio.open_connection("127.0.0.1", port)
             up = _Pipe(milliseconds / 2000, 1e6 * megabits / 8)
-            await asyncio.gather(up.carry(reader, back), down.carry(there, writer), return_exceptions=True)
+            with suppress(asyncio.CancelledError):  # the end of the measurement
+                await asyncio.gather(up.carry(reader, back), down.carry(there, writer), return_exceptions=True)
 
         server = await asyncio.start_server(connected, "127.0.0.1", 0)
         servers.append(server)
