@@ -3,9 +3,9 @@
     python tests/batch_runs.py [--recordings 24] [--frames 24] [--workers 2] [--folder DIR]
 
 The recordings are short synthetic performances with ground truth, each of another performer. They are batched three times:
-in a plain loop in this process, on the cluster undisturbed, and on the cluster by the command line, which is ended by
-SIGKILL after a third of the recordings and run again, while a worker is ended by SIGKILL as well. Exit status 1 where the
-tables differ in anything but times.
+in a plain loop in this process and, a few recordings by turns, on the cluster undisturbed; then on the cluster by the
+command line, which is ended by SIGKILL after a third of the recordings and run again, while a worker is ended by SIGKILL
+as well. Exit status 1 where the tables differ in anything but times.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,7 +28,7 @@ sys.path.insert(0, str(ROOT / "data_synth"))
 from make_performance import make_performance  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from adaptiveface.batch import Batch, dask_client, expand, find_sources  # noqa: E402
+from adaptiveface.batch import Batch, Job, completed, dask_client, expand, find_sources  # noqa: E402
 from adaptiveface.batch.work import DONE, run_job  # noqa: E402
 from adaptiveface.runtime.blas import one_blas_thread  # noqa: E402
 from adaptiveface.synthetic.sensor import SyntheticSensor  # noqa: E402
@@ -68,6 +69,19 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
+def in_turn(jobs: list[Job], plain: Path, whole: Path, client, workers: int) -> tuple[float, float]:
+    """Seconds that a plain loop and the cluster take for all jobs; by turns, so that both meet what else the machine does."""
+    loop = cluster = 0.0
+    turn = 2 * workers
+    for first in tqdm(range(0, len(jobs), turn), desc="loop and cluster", disable=None):
+        mine = jobs[first : first + turn]
+        with one_blas_thread():
+            loop += timed(lambda: [run_job(str(plain), job) for job in mine])  # noqa: B023
+        cluster += timed(lambda: list(completed(partial(run_job, str(whole)), mine, client)))  # noqa: B023
+    Batch(jobs, whole).run(client)  # all are done: it writes the tables
+    return loop, cluster
+
+
 def disturbed(takes: Path, out: Path, client, count: int) -> tuple[list[int], int]:
     """The batch by the command line, ended after a third, then run to its end while a worker is ended after two thirds.
 
@@ -105,13 +119,11 @@ def run(args: argparse.Namespace, folder: Path) -> int:
     write_recordings(takes, count, args.frames)
     jobs = expand(find_sources(takes), neutral_frames=NEUTRAL, report=False)
     plain = folder / "plain"
-    with one_blas_thread():
-        loop = timed(lambda: [run_job(str(plain), job) for job in tqdm(jobs, desc="plain loop", disable=None)])
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # of the workers
     client = dask_client(workers=args.workers)
     try:
         client.run(lambda: __import__("adaptiveface.pipeline"))
-        cluster = timed(lambda: Batch(jobs, folder / "whole").run(client, progress=True))
+        loop, cluster = in_turn(jobs, plain, folder / "whole", client, args.workers)
         done, status = disturbed(takes, folder / "disturbed", client, count)
     finally:
         client.close()

@@ -241,3 +241,11 @@ def test_a_damaged_record_is_no_finished_job(takes, tmp_path):
         assert finished(tmp_path, job) is None
     done.write_text(json.dumps({"fingerprint": job.fingerprint, "status": "done"}))
     assert finished(tmp_path, job)
+
+
+def test_what_a_killed_worker_left_is_removed_when_its_recording_is_done(takes, tmp_path):
+    jobs = expand([str(takes / "monday" / "take")], actor=str(takes / "actor.npz"), report=False)
+    for name in ("take.part12", "take.parts", "other.part12"):
+        (tmp_path / "out" / name).mkdir(parents=True)
+    assert [record["status"] for record in Batch(jobs, tmp_path / "out").run(processes=1)] == ["done"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.is_dir()) == ["other.part12", "take", "take.parts"]

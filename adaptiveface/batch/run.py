@@ -13,7 +13,7 @@ from ..errors import AdaptiveFaceError
 from .index import write_index
 from .jobs import Job
 from .tables import write_tables
-from .work import finished, run_job
+from .work import drop_unfinished, finished, run_job
 from .workers import completed
 
 
@@ -70,6 +70,9 @@ class Batch:
         return [records[job.name] for job in self.jobs]
 
     def _gather(self, records: dict[str, dict]) -> None:
+        for job in self.jobs:
+            if job.name in records:
+                drop_unfinished(self.folder, job)
         rows = [records[job.name] for job in self.jobs if job.name in records]
         if rows:
             write_tables(self.folder, rows)

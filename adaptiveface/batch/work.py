@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import csv
+import glob
 import json
 import os
+import re
 import shutil
 import time
 from contextlib import redirect_stdout
@@ -33,6 +35,14 @@ def finished(folder: Path, job: Job) -> dict | None:
     except (AdaptiveFaceError, ValueError):
         return None
     return record if isinstance(record, dict) and record.get("fingerprint") == job.fingerprint else None
+
+
+def drop_unfinished(folder: Path, job: Job) -> None:
+    """Remove what workers that were killed have left of a job that is done."""
+    target = folder / job.name
+    for left in target.parent.glob(f"{glob.escape(target.name)}.part*"):
+        if re.fullmatch(r"\.part\d+", left.name[len(target.name) :]):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def run_job(folder: str, job: Job) -> dict:
