@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -99,3 +100,11 @@ def test_only_the_views_know_widgets_and_only_geometry_pyvista():
         roots = {name.split(".")[0] for name in imported(path)}
         wrong = {name for name in roots & set(owners) if owners[name] != place(path)}
         assert not wrong, f"{path.relative_to(PACKAGE)} imports {sorted(wrong)}"
+
+
+def test_the_docs_are_as_the_code_is(monkeypatch, capsys):
+    """Responsibilities, imports, a frame's way and the files' arrays; ``python docs/redraw.py`` writes them."""
+    monkeypatch.syspath_prepend(str(PACKAGE.parent / "docs"))
+    redraw = importlib.import_module("redraw")
+    stale = redraw.main(["--check"])
+    assert redraw.pages() and not stale, f"{capsys.readouterr().out}run python docs/redraw.py, and look at the difference"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +15,6 @@ from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import FaceModel, embedded_face_model, load_face_model, save_face_model
 from adaptiveface.model.feature_set import FeatureSet
 from adaptiveface.result import Result
-
-DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
 @record
@@ -95,11 +91,3 @@ def test_a_face_model_comes_back(tmp_path):
     again = load_face_model(tmp_path / "m.npz")
     assert again.expression_names == model.expression_names and again.triangles.dtype == np.int32
     np.testing.assert_allclose(again.eye_modes, model.eye_modes, atol=1e-5)
-
-
-def test_the_docs_are_as_the_code_is(monkeypatch):
-    monkeypatch.syspath_prepend(str(DOCS))
-    sys.modules.pop("redraw", None)
-    import redraw
-
-    assert redraw.pages() and redraw.main(["--check"]) == 0
