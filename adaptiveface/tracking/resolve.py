@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -12,6 +13,7 @@ from ..errors import FileFormatError
 from ..model.actor import Actor
 from ..parameters import BlendshapeParameters
 from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
+from .expression_prior import habit_penalty
 
 #: ``blendshapes.sparsity`` is stated for a face of this many frontal vertices.
 SPARSITY_VERTICES = 3500
@@ -29,7 +31,7 @@ class SparseResolve:
     basis : (A, N, 3)
         Expressions as displacements from the neutral, mm.
     parameters
-        ``sparsity``, ``ridge`` and the coefficients' bounds.
+        ``sparsity``, ``ridge``, ``habits`` and the coefficients' bounds.
     dtype
         Of the basis that meshes are multiplied with. Single precision halves the memory to stream in every frame; the
         matrix of the normal equations is in double precision in both cases.
@@ -53,6 +55,8 @@ class SparseResolve:
         self._basis = rows.astype(dtype, copy=False)
         self._penalty = sparsity_penalty(gram, parameters.sparsity, len(self._frontal))
         self._matrix = gram + parameters.ridge * np.eye(count)
+        if parameters.habits:
+            self._matrix += parameters.habits * habit_penalty(actor.expression_names[:count])
         self._bounds = np.full(count, parameters.lower), np.full(count, parameters.upper)
 
     @classmethod
@@ -62,7 +66,8 @@ class SparseResolve:
         if missing:
             raise FileFormatError(f"the actor lacks the expressions {', '.join(missing)[:200]}")
         rows = [actor.expression_names.index(name) for name in names]
-        return cls(actor, actor.blendshapes[rows], parameters or BlendshapeParameters())
+        rig = replace(actor, blendshapes=actor.blendshapes[rows], expression_names=tuple(names))
+        return cls(rig, rig.blendshapes, parameters or BlendshapeParameters())
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """(A,) coefficients of a mesh (N, 3) in the head frame, mm; ``start`` (A,) is a first guess."""
