@@ -62,7 +62,6 @@ OLD_MODULES = {
         "rendering": "geometry.rendering",
         "result_access": "result.access",
         "rows": "result.rows",
-        "skin": "model.skin",
         "stages": "parameters.stages",
         "timing": "runtime.timing",
     }.items()

@@ -59,7 +59,7 @@ def load_checked(
     fields: Mapping[str, Field],
     max_bytes: int = MAX_BYTES,
     mapped: Collection[str] = (),
-    mapped_from: int = MAPPED_FROM,
+    mapped_from: int | None = None,
 ) -> dict:
     """Read the named arrays of an npz and check names, dtypes, shapes, finiteness and total size.
 
@@ -90,7 +90,7 @@ def load_checked(
                 if begins + needed != info.file_size:
                     held = info.file_size - begins
                     raise FileFormatError(f"{path}: array '{name}' promises {abbreviated(needed)} bytes and holds {held}")
-                if name in mapped and info.file_size >= mapped_from:
+                if name in mapped and info.file_size >= (MAPPED_FROM if mapped_from is None else mapped_from):
                     _check(path, name, field, shape, dtype, sizes)
                     array = map_member(path, info, partial(_check_values, path, name))
                     if array is not None:

@@ -207,11 +207,20 @@ def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, ro
     # x + offset is seen: (x + o).A (x + o) - 2 b.(x + o) has the gradient of x.A x - 2 (b - A o).x.
     found = replace(found, b=found.b - np.einsum("fij,fj->fi", found.A, offset))
     deviation = np.sqrt(landmarks.personal**2 + landmarks.deviations(0.0) ** 2)
-    off = np.linalg.norm(np.einsum("fij,fj->fi", found.A, landmarks.points(vertices)) - found.b, axis=1)
+    # What the 40 are off by alike tells of colour that lies beside the depth, and not of the head's shape.
+    common = np.median(_off(features, surface_points(vertices, *own[:2]))[features.seen], axis=0)
+    found = replace(found, b=found.b + common)
+    off = np.linalg.norm(_off(found, landmarks.points(vertices)), axis=1)
     beyond = np.clip(1.0 - TOLERATED * deviation / np.maximum(off, 1e-9), 0.0, None)
     found = replace(found, certainty=beyond / deviation**2)
     triangles = np.concatenate([model.feature_triangles, landmarks.triangles])
     return triangles, np.concatenate([model.feature_weights, landmarks.weights]), features.joined(found)
+
+
+def _off(constraints: FeatureConstraints, points: np.ndarray) -> np.ndarray:
+    """(F, 3) mm across the view: from where points (F, 3) are seen to the points."""
+    offsets: np.ndarray = np.einsum("fij,fj->fi", constraints.A, points) - constraints.b
+    return offsets
 
 
 def _detected(scan: FusedScan) -> bool:
