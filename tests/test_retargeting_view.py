@@ -103,3 +103,17 @@ def test_another_price_on_expressions_is_solved_and_shown(study):
     assert dear is study.resolved and dear[4].sum() < cheap[4].sum() - 0.1
     assert study.view.value != before, "the faces show it"
     assert np.array_equal(study.resolve(), cheap)
+
+
+def test_the_actor_has_eyes_and_a_mouth_inside(study):
+    """No background shows through the head: from every row's first to last pixel of the face there are no holes."""
+    study.mode.value = RESOLVED
+    study.player.go_to(4)
+    pane = study.picture()[20:, : study.pane]  # below the title
+    empty = (pane == 255).all(axis=2)
+    holes = 0
+    for row in empty:
+        face = np.flatnonzero(~row)
+        if len(face):
+            holes += int(row[face[0] : face[-1]].sum())
+    assert holes < 10

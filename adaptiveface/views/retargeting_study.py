@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import ipywidgets as widgets
 import numpy as np
 
 from ..geometry.mesh import rotation_vector_matrix
+from ..insides import make_insides
 from ..parameters import BlendshapeParameters
 from ..pipeline import one_blas_thread
+from ..report.pictures import SKIN, completed
 from ..retargeting import BUILT_IN
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
@@ -54,6 +57,7 @@ class RetargetingStudy:
         self.resolved = self._resolved(SPARSITY)
         self.characters = [load_character(name) for name in characters]
         self._self = Character("actor", self.actor.neutral, self.actor.triangles, names, self.actor.blendshapes[: len(names)])
+        self._insides = make_insides(self.actor.neutral, self.actor.triangles)
         self._added: dict[str, np.ndarray] = {}
         self._make_widget(session.fps)
         self._redraw()
@@ -164,9 +168,17 @@ class RetargetingStudy:
             rotation = rotation @ rotation_vector_matrix(np.radians(degrees) * np.eye(3)[axis])
         panes = []
         for face, shape, title in self.faces(index):
+            if face is self._self:
+                face, shape = self._with_insides(shape)
             pane = portrait(face, shape, self.pane, rotation, rays=1, zoom=zoom)
             panes.append(cv2.putText(pane, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (60, 60, 60), 1, cv2.LINE_AA))
         return np.hstack(panes)
+
+    def _with_insides(self, skin: np.ndarray) -> tuple[Character, np.ndarray]:
+        """The actor with eyes, teeth and tongue, as a character to draw, and the vertices of both."""
+        plain = np.tile(np.array(SKIN, float), (len(skin), 1))
+        vertices, triangles, colours = completed(self._insides, skin, self.actor.triangles, plain)
+        return replace(self._self, triangles=triangles, colours=colours.astype(np.uint8)), vertices
 
     def draw(self) -> None:
         """Everybody, and the chart."""
