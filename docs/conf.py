@@ -28,9 +28,9 @@ if not quick:
 exclude_patterns = ["_build", "_executed", "_ext", "tables"]
 html_theme = "furo"
 html_title = "adaptiveface"
-html_static_path = ["_static", "../adaptiveface/assets/heads.js"]  # and what draws heads in notebooks
+html_static_path = ["_static", "../adaptiveface/assets/saved_heads.js"]  # and what draws heads in saved notebooks
 html_css_files = ["site.css"]
-html_js_files = [("page_heads.js", {"type": "module"})]
+html_js_files = [("saved_heads.js", {"defer": "defer"})]
 html_show_sphinx = False
 html_math_renderer = "mathml"
 myst_enable_extensions = ["dollarmath", "amsmath"]

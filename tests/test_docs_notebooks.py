@@ -78,11 +78,11 @@ HEAD_PAGE = """<!doctype html><title>heads</title>{heads}
   out.id = "out";
   out.textContent = JSON.stringify({{camera: event.target.dataset.camera, titles: document.body.innerText}});
   document.body.append(out);
-}}, {{once: true}});</script><script type="module" src="page_heads.js"></script>"""
+}}, {{once: true}});</script><script defer src="saved_heads.js"></script>"""
 
 
 def test_heads_are_drawn_by_the_page_itself(script, tmp_path):
-    """What the widget held is in the page, and the widget's own code draws it there without a kernel."""
+    """What the widget held is in the page, and the viewer of saved notebooks draws it there without a kernel."""
     from web import ask
 
     source = tmp_path / "heads.ipynb"
@@ -90,7 +90,7 @@ def test_heads_are_drawn_by_the_page_itself(script, tmp_path):
     script.execute(source, "package")
     page = json.loads((tmp_path / "executed" / "heads.ipynb").read_text(encoding="utf-8"))
     (output,) = page["cells"][0]["outputs"]
-    assets = {"heads.js": DOCS.parent / "adaptiveface/assets/heads.js", "page_heads.js": DOCS / "_static/page_heads.js"}
+    assets = {"saved_heads.js": DOCS.parent / "adaptiveface/assets/saved_heads.js"}
     html = HEAD_PAGE.format(heads=output["data"]["text/html"])
     seen = ask(tmp_path / "page", tmp_path, html, assets)
     assert seen["camera"] == "0 0 1" and "left" in seen["titles"] and "right" in seen["titles"]

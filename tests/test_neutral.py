@@ -308,6 +308,15 @@ def test_the_contour_pulls_only_where_the_head_is_far_from_it(actor):
     assert (pulled.strength[:40] == forty.strength).all()
 
 
+def test_the_contour_needs_features_that_are_seen(actor):
+    """Features of no confidence, as of a face that is turned away, beside a detected face: no NaN reaches the fit."""
+    poses = [head_pose((0, 0, 0), (0, 0, 600))]
+    frames = with_landmarks([render_frame(actor, actor.neutral, poses[0])], poses, actor.neutral)
+    frames = [replace(f, features=replace(f.features, confidence=np.zeros(40))) for f in frames]
+    *_, constraints = neutral_evidence(scan_of(actor.neutral, frames, poses), MODEL, actor.neutral, np.eye(3), True)
+    assert np.isfinite(constraints.b).all() and not constraints.strength.any()
+
+
 def test_a_jaw_that_depth_does_not_show_is_found_in_the_picture(actor):
     """A wide jaw whose sides have no depth, as on sensors that see turned-away skin badly."""
     wide = actor.neutral.copy()

@@ -168,7 +168,7 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     centres, radii = _eyes(model, neutral, lids)
     near = tuple(np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0) for loop in lids)
     upper, lower, triangles_of_row, colours_of_row, tongue = _mouth_parts(marks)
-    # Upper and lower lip are told apart where the model's mouth is open: at rest they touch, and may cross in a head.
+    # The model's open mouth tells the upper lip from the lower one. Lips at rest touch, and those of a fitted head may cross.
     height = rim_height((model.mean + model.expressions[model.expression_names.index("jawOpen")])[mouth]) * _MOUTH_HEIGHT
     ball, ball_triangles, ball_colours = eyeball_mesh(iris)
     flesh = np.array([[206, 148, 138], [150, 92, 88]], float)
@@ -201,8 +201,8 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
 def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.ndarray]:
     """Centres and radii of the model's mean eyeballs, scaled and moved to the lids, as far back as these ask for.
 
-    They are moved only. A rotation that fits the lids would be the lids' own shape: it carries a centre, which lies 15 mm
-    behind them, several millimetres up or down on some real heads, and the eyes look at the ceiling.
+    They are translated, not rotated. A rotation fitted to the small rim of the lids follows the slope of the lids. It would
+    carry the centre, which lies 15 mm behind them, several millimetres up on some real heads, and the eyes would look up.
     """
     centres, radii = [], []
     for side, loop in zip((1, -1), lids, strict=True):
@@ -221,7 +221,7 @@ def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.n
 
 
 def _iris_height(rim: np.ndarray, x: float) -> float:
-    """The height of an iris that looks ahead at ``x`` between lids (n, 3): the upper lid covers more of it, mm."""
+    """The height, mm, of an iris that looks ahead at ``x`` between lids (n, 3). The upper lid covers more of it."""
     near = rim[np.abs(rim[:, 0] - x) < IRIS_RADIUS]
     middle = 0.5 * (near[:, 1].max() + near[:, 1].min())
     return float(middle + IRIS_RISE)
@@ -241,7 +241,7 @@ def _mouth_parts(marks: np.ndarray):
     line = 0.5 * (place[62] + place[66])
     front = min(place[62][2], place[66][2]) - 5.3 * size
     row, triangles, colours = teeth_mesh(26.0 * size, 40.0 * size, 9.0 * size)
-    # At rest lips cover both rows: a neutral scan leaves a slit between them even where a person keeps them closed.
+    # Lips at rest cover both rows. A neutral scan leaves a slit between the lips even when the person keeps them closed.
     slit = 0.5 * max(place[62][1] - place[66][1], 0.0)
     upper = row + [line[0], line[1] + min(slit + 0.3 * size, 1.5 * size), front]
     lower = row * [0.95, -0.9, 1.0] + [line[0], line[1] - slit - 1.0 * size, front - 3.0 * size]

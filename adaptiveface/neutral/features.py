@@ -180,8 +180,8 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
 
 #: Where the 40 features have no point and a depth camera sees little. Not the forehead, where hair may hide the skin.
 CONTOUR = ("chin", "jaw", "cheeks")
-#: A landmark pulls by what it is off by more than this many of its deviations. Less may be the detector's own idea of a
-#: person's cheek, and the scan, which is better there, must not bend to it.
+#: A landmark counts where it is farther off than this many of its deviations, and only by the excess. A smaller distance may be
+#: the detector's own idea of where a cheek lies, and the scan knows better.
 TOLERATED = 2.5
 
 #: Triangles (F, 3) and weights (F, 3) of features on the mesh, and their constraints.
@@ -191,23 +191,23 @@ Evidence = tuple[np.ndarray, np.ndarray, FeatureConstraints]
 def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, rotation: np.ndarray, contour: bool) -> Evidence:
     """What pictures say of a head at ``vertices`` (V, 3) in the scan frame, turned by ``rotation`` (3, 3) from the head frame.
 
-    The 40 features have no point on chin, jaw and cheeks, and skin that is turned away from the camera has little depth:
-    real heads got the average person's jaw. With ``contour`` the detector's landmarks there are added, where it has seen
-    the frames and the model has them.
+    The 40 features have no point on chin, jaw and cheeks. A depth camera measures little of skin that is turned away, so
+    that real heads got the average person's jaw. ``contour`` adds the detector's landmarks on these regions, where a
+    detector has seen the frames and the model has landmarks.
     """
     features = constraints_on(scan, model, vertices)
     own = model.feature_triangles, model.feature_weights, features
-    if not contour or model.landmarks is None or not _detected(scan):
+    if not contour or model.landmarks is None or not _detected(scan) or not features.seen.any():
         return own
     landmarks = model.landmarks.select(~model.landmarks.held_out & np.isin(model.landmarks.regions, CONTOUR))
     if not len(landmarks):
         return own
     found = _landmark_constraints(scan, _landmarks_seen(scan, landmarks), landmarks, model, vertices)
     offset = landmarks.offset @ rotation.T
-    # x + offset is seen: (x + o).A (x + o) - 2 b.(x + o) has the gradient of x.A x - 2 (b - A o).x.
+    # The detector sees x + o, and (x + o).A (x + o) - 2 b.(x + o) equals x.A x - 2 (b - A o).x but for a constant.
     found = replace(found, b=found.b - np.einsum("fij,fj->fi", found.A, offset))
     deviation = np.sqrt(landmarks.personal**2 + landmarks.deviations(0.0) ** 2)
-    # What the 40 are off by alike tells of colour that lies beside the depth, and not of the head's shape.
+    # An offset that the 40 features share comes from colour that is not aligned to the depth, not from the head's shape.
     common = np.median(_off(features, surface_points(vertices, *own[:2]))[features.seen], axis=0)
     found = replace(found, b=found.b + common)
     off = np.linalg.norm(_off(found, landmarks.points(vertices)), axis=1)

@@ -12,7 +12,7 @@ import base64
 import gzip
 import html
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import ipywidgets as widgets
@@ -98,15 +98,19 @@ def _head(view: Heads) -> str:
 
 def packed(view: Heads) -> str:
     """The values that the browser has of a view, bytes among them, as text."""
-    buffers: dict[bytes, int] = {}  # panes often share a geometry
+    buffers: dict[str, int] = {}  # panes often share a geometry
 
     def plain(value):
         if isinstance(value, (bytes, memoryview)):
-            return {"bytes": buffers.setdefault(bytes(value), len(buffers))}
+            return {"bytes": buffers.setdefault(base64.b64encode(value).decode("ascii"), len(buffers))}
         if isinstance(value, dict):
             return {name: plain(one) for name, one in value.items()}
         return [plain(one) for one in value] if isinstance(value, (list, tuple)) else value
 
-    state = {name: plain(getattr(view, name)) for name in view.own_traits()}
-    text = json.dumps({"state": state, "buffers": [base64.b64encode(data).decode("ascii") for data in buffers]})
+    return pack({name: plain(getattr(view, name)) for name in view.own_traits()}, buffers)
+
+
+def pack(state: dict, buffers: Iterable[str]) -> str:
+    """Text that ``js/src/saved.js`` unpacks; ``{"bytes": k}`` in ``state`` stands for the k-th of ``buffers``, in base64."""
+    text = json.dumps({"state": state, "buffers": [*buffers]}, separators=(",", ":"))
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")

@@ -7,12 +7,12 @@ a function that makes outputs of it, which is where views that work in the page 
 from __future__ import annotations
 
 import base64
-import gzip
 import io
-import json
 from collections.abc import Callable
 
 from PIL import Image
+
+from adaptiveface.views.saved import pack
 
 VIEW = "application/vnd.jupyter.widget-view+json"
 STATE = "application/vnd.jupyter.widget-state+json"
@@ -48,20 +48,23 @@ def words(model: dict) -> list[dict]:
     return [_output({"text/html": f"<p>{text}</p>"})] if text.strip() and not with_sliders else []
 
 
-#: The class of the widget that draws heads; its code draws them in the page, too.
+#: The class of the widget that draws heads.
 HEADS = "adaptiveface.views.heads.Heads"
 
 
 def heads(model: dict) -> list[dict]:
-    """Heads that the page draws and the mouse turns: the widget's values, packed, for ``_static/page_heads.js``."""
+    """Heads that the page draws and the mouse turns, as a saved notebook keeps them, for ``assets/saved_heads.js``."""
     values = {name: value for name, value in model["state"].items() if not name.startswith("_")}
     known: dict[str, int] = {}  # panes often share a geometry
-    paths = [[b["path"], known.setdefault(b["data"], len(known))] for b in model.get("buffers") or ()]
-    text = json.dumps({"values": values, "buffers": [*known], "paths": paths}, separators=(",", ":"))
-    packed = base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+    for buffer in model.get("buffers") or ():
+        *way, last = buffer["path"]
+        place = values
+        for step in way:
+            place = place[step]
+        place[last] = {"bytes": known.setdefault(buffer["data"], len(known))}
     titles = ", ".join(title for title in values["titles"] if title) or "a head"
-    place = f'<div class="adaptiveface-page-head"><p>{titles}: drawn with JavaScript and WebGL.</p>'
-    return [_output({"text/html": f'{place}<script type="application/octet-stream">{packed}</script></div>'})]
+    place = f'<div class="adaptiveface-saved-head"><p>{titles}: drawn with JavaScript.</p>'
+    return [_output({"text/html": f'{place}<script type="application/octet-stream">{pack(values, known)}</script></div>'})]
 
 
 #: Widget model -> what it leaves in the page. Sliders and buttons leave nothing: they need a kernel.
