@@ -525,6 +525,29 @@ def test_player_plays_loops_pauses_and_follows_the_hand():
     asyncio.run(scenario())
 
 
+def test_a_playback_that_is_stopped_and_started_at_once_plays_on(session):
+    """As "learn live" does while the performance plays."""
+
+    async def scenario() -> None:
+        bench = bench_of(session)
+        bench.player.play()
+        while bench.player.index < 2:
+            await asyncio.sleep(0.01)
+        bench.learn_live()
+        drawn = bench.player.drawn
+        for _ in range(300):
+            await asyncio.sleep(0.02)
+            if bench.player.drawn > drawn + 3:
+                break
+        assert bench.player.button.value and bench.player.drawn > drawn + 3
+        bench.player.pause()
+        await asyncio.sleep(0.02)
+        assert not bench.player.button.value and views.running_tasks() == 0
+        bench.close()
+
+    asyncio.run(scenario())
+
+
 def test_the_slider_follows_a_playback_and_stands_right_when_it_ends():
     async def scenario() -> None:
         shown, told = [], []
@@ -785,16 +808,6 @@ def test_liveliest_window_holds_the_movement():
     script = np.zeros((60, 2))
     script[30:40, 1] = np.sin(np.linspace(0, np.pi, 10))
     assert 24 <= liveliest_window(script, 16) <= 30
-
-
-def test_session_from_a_recording(tmp_path):
-    from recordings import talking_head
-
-    talking_head(tmp_path / "take", frames=8)
-    session = views.load_session(str(tmp_path / "take"), neutral_frames=3, frames=4)
-    assert len(session.neutral) == 3 and len(session.frames) == 4 and session.truth is None
-    with pytest.raises(AdaptiveFaceError, match="more than the 8 neutral ones"):
-        views.load_session(str(tmp_path / "take"), neutral_frames=8)
 
 
 def test_a_workbench_hands_its_meshes_to_pyvista(session):

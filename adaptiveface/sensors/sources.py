@@ -73,6 +73,8 @@ def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
 def _open(text: str, field_of_view: float | None) -> FrameSource:
     if field_of_view is not None and not is_video(text) and Path(text).exists():
         raise ParameterError(f"{text}: a field of view can be given for a video only; this source has its calibration")
+    if Path(text).name == "intrinsic.json" and Path(text).is_file():  # the one file of a recording that a person may pick
+        return Recording(Path(text).parent)
     if Path(text).is_dir():
         return Recording(text)
     if text == "synthetic" or text.startswith("synthetic:"):

@@ -48,7 +48,7 @@ class LiveChart:
         figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white", layout="constrained")
         self._canvas, self._axis = FigureCanvasAgg(figure), figure.add_subplot()
         axis = self._axis
-        axis.set(xlim=x, ylim=y, xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
+        axis.set(xlim=(x[0], max(x[1], x[0] + 1)), ylim=y, xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
         axis.set_title(title, fontsize=9)
         axis.tick_params(labelsize=8)
         axis.xaxis.label.set_size(9)

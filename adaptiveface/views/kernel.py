@@ -104,9 +104,10 @@ class BackgroundTask:
             self._task.add_done_callback(_tell)
 
     def stop(self) -> None:
-        """Cancel the task, if it runs."""
+        """Cancel the task, if it runs; another one can start at once."""
         if self.running:
             self._task.cancel()
+            self._task = None
 
     async def finished(self) -> None:
         """Wait for the end; raises what the task raised."""

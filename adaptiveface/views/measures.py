@@ -9,6 +9,7 @@ import numpy as np
 from ..evaluation import motion_error, neutral_alignment
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points, vertex_normals
+from ..tracking.feature_rows import reprojection_errors
 from ..tracking.types import TrackedFrame
 from .session import Session
 
@@ -27,13 +28,22 @@ def depth_distance(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
 
 
 class Measures:
-    """Errors of tracked frames of one session: against the truth where it is known, else against the depth map."""
+    """Errors of tracked frames of one session: against the truth where it is known, else against the depth map.
+
+    Of a video, without depth, nothing is known of a vertex; :meth:`mean_error` is then that of the 2D features in pixels.
+    ``label`` says what colours show ("" where they show nothing), ``curve`` what :meth:`mean_error` is, in ``unit``.
+    """
 
     def __init__(self, session: Session) -> None:
         self.session, actor = session, session.actor
         truth = session.truth
         self.has_truth = truth is not None and truth.neutral.shape == actor.neutral.shape
-        self.label = "motion error against the truth, mm" if self.has_truth else "distance to the depth map, mm"
+        self.label, self.unit = "distance to the depth map, mm", "mm"
+        if self.has_truth:
+            self.label = "motion error against the truth, mm"
+        self.curve = self.label
+        if session.colour_only:
+            self.label, self.curve, self.unit = "", "distance from the 2D features, px", "px"
         if self.has_truth:
             self._alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
 
@@ -56,10 +66,15 @@ class Measures:
         return np.where(actor.frontal & actor.depth_valid, lengths, np.nan)
 
     def mean_error(self, result: TrackedFrame | None, frame: RgbdFrame, stage: str = "v4") -> float:
-        """Mean of :meth:`error`, mm; NaN for a frame that is not tracked."""
+        """Mean of :meth:`error`, mm; of a video that of the 2D features, px. NaN for a frame that is not tracked."""
         if result is None or not result.tracked:
             return float("nan")
-        return float(np.nanmean(self.error(result, frame, stage)))
+        if self.session.colour_only:
+            points = model_features(self.session, getattr(result, stage), result.head_pose)
+            return float(reprojection_errors(frame.seen, frame.camera, points).mean())
+        known = self.error(result, frame, stage)
+        known = known[np.isfinite(known)]
+        return float(known.mean()) if len(known) else float("nan")
 
     def mean_map(self, results, frames, stage: str = "v4") -> np.ndarray:
         """(N,) mean of :meth:`error` over the tracked frames, mm; NaN where it is never known."""
@@ -70,7 +85,9 @@ class Measures:
         return np.where(known > 0, np.nansum(errors, axis=0) / np.maximum(known, 1), np.nan)
 
     def stage(self, name: str) -> Pane:
-        """A pane: the mesh of stage "v1" .. "v4", coloured by its error."""
+        """A pane: the mesh of stage "v1" .. "v4", coloured by its error where there is one."""
+        if self.session.colour_only:
+            return plain(name)
         return lambda result, frame: (getattr(result, name), self.error(result, frame, name))
 
     def difference(self, name: str, other: str) -> Pane:

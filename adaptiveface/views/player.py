@@ -66,8 +66,8 @@ class Player:
     def play(self) -> None:
         """Start; needs a running event loop (a notebook)."""
         if not self._task.running:
-            self.button.value = True
             self._task.start(self._run())
+            self.button.value = True
 
     def pause(self) -> None:
         """Stop where it is."""
@@ -113,7 +113,8 @@ class Player:
                 await asyncio.sleep(0.004)  # lets sliders and other tasks in
         finally:
             self.slider.value = self._index
-            self.button.value = False
+            if not asyncio.current_task().cancelling():  # else it may play again already: the button is that playback's
+                self.button.value = False
 
     def _step_to(self, position: int) -> None:
         self._index, now = position, time.perf_counter()

@@ -1,17 +1,16 @@
 """What every notebook starts with: a short performance in memory and the personal rig of its performer.
 
 ``load_session("synthetic")`` renders the embedded performer once and keeps frames and rig in the user's cache folder;
-``load_session("path/to/a/recording")`` takes a recording instead.
+``load_session("path/to/a/recording")`` takes a recording or a video instead, and ``actor="actor.npz"`` a saved head.
 """
 
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,18 +18,19 @@ import numpy as np
 
 from ..caches import cache_folder
 from ..errors import AdaptiveFaceError, FileFormatError
-from ..evaluation import GroundTruth, TruthFrame
+from ..evaluation import GroundTruth, TruthFrame, neutral_alignment
 from ..files.npz import Field, load_checked, write_npz
 from ..geometry.camera import Camera
 from ..geometry.frame import Features2D, RgbdFrame
-from ..geometry.mesh import surface_points
-from ..model import face_model
+from ..geometry.mesh import transform_points
 from ..model.actor import Actor
-from ..neutral.choice import LOOK, choose, judge
-from ..neutral.take import face_found
 from ..parameters import Parameters
-from ..pipeline import FrameReader, capture_from, one_blas_thread
+from ..pipeline import capture_from, one_blas_thread
 from ..sensors import open_source
+from ..sensors.numbered import Abilities
+from ..tracking.base import Tracker
+from ..tracking.colour_tracker import make_tracker
+from .recorded import read_take
 
 T = TypeVar("T")
 
@@ -40,7 +40,8 @@ FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
 LESSON, LESSON_FRAMES = "lesson", 300
 #: Changes when the synthetic sensor or this file's layout does, so that an old cache is not used.
 CACHE_VERSION = 2
-_log = logging.getLogger(__name__)
+#: Mean distance, mm, of a head's face from the performer's from which on it is another person's: captured ones lie within 0.5.
+ANOTHER = 1.5
 
 _FIELDS = {
     "depth": Field(("F", "H", "W"), "u"),
@@ -67,7 +68,8 @@ def fast() -> bool:
 class Session:
     """``neutral`` and ``frames``: RGB-D frames with features in memory; ``truth`` of all of them, or None.
 
-    A session is a frame source itself (``camera``, ``name``, ``len``, ``read``): neutral frames first.
+    A session is a frame source itself (``camera``, ``name``, ``len``, ``read``): neutral frames first. ``colour_only``: of a
+    video, without depth. ``guessed_camera``: nothing says what its focal length is, until the actor is captured.
     """
 
     name: str
@@ -77,6 +79,8 @@ class Session:
     truth: GroundTruth | None = None
     has_features: bool = True
     fps: float = 30.0
+    colour_only: bool = False
+    guessed_camera: bool = False
     _actor: Actor | None = field(default=None, repr=False)
     _actor_file: Path | None = field(default=None, repr=False)
 
@@ -93,67 +97,108 @@ class Session:
         if self._actor is None:
             self._actor = None if self._actor_file is None else _cached(self._actor_file, Actor.load)
         if self._actor is None:
-            self._actor = capture_from(self, Parameters(), neutral_frames=range(len(self.neutral)))
+            self._actor = self._captured()
             if self._actor_file is not None:
                 with _not_cached():
                     self._actor.save(self._actor_file)
         return self._actor
 
+    def _captured(self) -> Actor:
+        if not self.colour_only:
+            return capture_from(self, Parameters(), neutral_frames=range(len(self.neutral)))
+        actor = capture_from(self, Parameters())  # the proportions alone, from whatever the face does
+        if self.guessed_camera:  # the capture has found the focal length
+            self.neutral, self.frames = ([replace(f, camera=self.camera) for f in some] for some in (self.neutral, self.frames))
+        return actor
+
+    def make_tracker(self, actor: Actor, parameters: Parameters) -> Tracker:
+        """The tracker for these frames: of a video the one without depth."""
+        return make_tracker(actor, parameters, self.colour_only)
+
 
 def load_session(
-    source: str = "synthetic",
-    neutral_frames: int | range = 16,
+    source: str | os.PathLike = "synthetic",
+    neutral_frames: int | Sequence[int] = 16,
     frames: int | None = None,
     first: int = 0,
     cache: str | os.PathLike | None = None,
+    actor: Actor | str | os.PathLike | None = None,
+    needs_depth: bool = False,
 ) -> Session:
-    """The performance that the notebooks work on.
+    """The performance that the notebooks work on; of a recording, what is tracked of it is printed first.
 
-    ``source``: "synthetic", "synthetic:SEED[:NOISE]", "lesson" (:mod:`..synthetic.lesson`) or a recording folder.
-    ``neutral_frames`` with the face at rest come first and make the rig (of a recording, calmer ones where the first are not
-    calm; a range names them); then ``frames`` of performance (default 100, of the lesson 300; 24 where :func:`fast`), from
-    frame ``first`` of the recording on. ``cache``: folder for synthetic performances (default: the user's cache folder).
-    Raises :class:`AdaptiveFaceError` (or one of its kinds) for a source that cannot be used.
+    Parameters
+    ----------
+    source : str or path-like
+        "synthetic", "synthetic:SEED[:NOISE]", "lesson" (:mod:`..synthetic.lesson`), a recording or a video.
+    neutral_frames : int or sequence of int
+        So many with the face at rest make the rig. Of a recording they are chosen: calm ones, that see the face from as many
+        sides as it shows; a sequence names them (``range(100, 140)``).
+    frames : int, optional
+        Frames of performance: by default 100, of the lesson 300; 24 where :func:`fast`. They follow the neutral ones; a short
+        take is tracked as a whole.
+    first : int
+        The first frame of a recording that counts.
+    cache : path-like, optional
+        Folder for synthetic performances; the user's cache folder by default.
+    actor : Actor or path-like, optional
+        A head that is known, or its file, such as the live notebook saves: nothing is captured.
+    needs_depth : bool
+        Refuse a video.
+
+    Returns
+    -------
+    Session
+
+    Raises
+    ------
+    AdaptiveFaceError
+        Or one of its kinds: a source or an actor that cannot be used.
     """
+    source, known = os.fspath(source), actor if actor is None or isinstance(actor, Actor) else Actor.load(actor)
     count = frames or (24 if fast() else LESSON_FRAMES if source == LESSON else 100)
     if source in ("synthetic", LESSON) or source.startswith("synthetic:"):
-        return _synthetic(source, neutral_frames, count, Path(cache) if cache else cache_folder())
-    return _recorded(source, neutral_frames, count, first)
+        if not isinstance(neutral_frames, int):
+            raise AdaptiveFaceError(f"{source}: its first frames are the neutral ones; neutral_frames says how many")
+        session = _synthetic(source, neutral_frames, count, Path(cache) if cache else cache_folder())
+    else:
+        session = _recorded(source, neutral_frames, count, first, known, needs_depth)
+    if known is not None:
+        session._actor, session._actor_file = known, None
+        print(f"The head is {actor if known is not actor else 'the given one'}{_another(session, known)}.")
+    return session
 
 
-def _recorded(source: str, neutral_frames: int | range, count: int, first: int) -> Session:
+def _recorded(
+    source: str, neutral_frames: int | Sequence[int], count: int, first: int, actor: Actor | None, needs_depth: bool
+) -> Session:
     opened = open_source(source)
-    named = neutral_frames if isinstance(neutral_frames, range) else range(0)
-    leading = 0 if named else neutral_frames
-    neutral, found = [], []
-    with FrameReader(opened) as reader:
-        for index in range(min([first, *named]), len(opened)):
-            frame = reader.read(index)
-            if frame is not None and index in named:
-                neutral.append(frame)
-            elif frame is not None and index >= first:
-                found.append(frame)
-            if len(found) >= leading + count and index >= named.stop:
-                break
-    if len(found) <= leading or not (leading or neutral):
-        needed = f"more than the {leading} neutral ones are needed" if leading else f"none is among {named}"
-        raise AdaptiveFaceError(f"{source}: {len(found)} usable frames; {needed}")
-    if leading:
-        neutral = _calm(opened.name, found, leading)
-    return Session(opened.name, found[0].camera, neutral, found[leading : leading + count])
+    known = Abilities.of(opened)
+    if known.colour_only and needs_depth:
+        raise AdaptiveFaceError(f"{source}: has no depth, which this notebook is about; 00, 02 and 09 work without")
+    take = read_take(opened, neutral_frames, count, first)
+    print(take.note)
+    camera = take.frames[0].camera
+    only = dict(colour_only=known.colour_only, guessed_camera=known.guessed_camera)
+    session = Session(opened.name, camera, take.neutral, take.frames, fps=known.fps, **only)
+    if session.colour_only and actor is None:
+        _ = session.actor  # the frames' focal length comes with it
+    return session
 
 
-def _calm(name: str, found: list[RgbdFrame], count: int) -> list[RgbdFrame]:
-    """The neutral frames: the first ones, or calmer ones, with a note, where these are turned away or moving."""
-    model = face_model.embedded_face_model()
-    points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
-    faces = [frame for frame in found if face_found(frame)][:LOOK]
-    choice = choose([judge(frame, points) for frame in faces], count)
-    picked = [faces[k] for k in choice.picked]
-    if choice.picked != list(range(len(picked))):
-        instead = f"{len(picked)} of the frames {picked[0].index} to {picked[-1].index} are the neutral instead"
-        _log.warning("%s: %s; %s; load_session(..., neutral_frames=range(100, 140)) names others", name, choice.note, instead)
-    return picked or found[:count]
+def _another(session: Session, actor: Actor) -> str:
+    """What is to be said of a head that is not the performer's, where that is known."""
+    truth = session.truth
+    if truth is None or truth.neutral.shape != actor.neutral.shape:
+        return ""
+    placed = transform_points(neutral_alignment(actor.neutral, truth.neutral, actor.frontal), actor.neutral)
+    distance = float(np.linalg.norm(placed - truth.neutral, axis=1)[actor.frontal].mean())
+    if distance < ANOTHER:
+        return ""
+    return (
+        f": another person's, whose face lies {distance:.1f} mm from the performer's. Set SOURCE to that person's recording; "
+        'the live notebook\'s synthetic performer is "synthetic:0"'
+    )
 
 
 def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None) -> Session:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import ipywidgets as widgets
@@ -14,7 +15,6 @@ from ..geometry.frame import RgbdFrame
 from ..geometry.polydata import correctives, surface
 from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
-from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
 from ..tracking.verdict import verdict_of
 from .charts import LiveChart
@@ -24,6 +24,7 @@ from .measures import Measures, Pane, model_features
 from .parameter_panel import ParameterPanel
 from .pictures import CameraView
 from .player import Player
+from .recorded import NAMED
 from .replay import MakeTracker, Replay
 from .session import Session
 
@@ -32,6 +33,9 @@ from .session import Session
 ASIDES_PER_SECOND = 12.0
 #: While it learns, so many frames at most from one picture to the next.
 LEARNING_STEP = 2
+
+#: Height of the chart of errors, mm or px, where they hold the sensor's noise.
+WITHOUT_TRUTH = 5.0
 
 #: A chart and the function that gives its lines: replay -> name -> values per frame.
 ChartSource = Callable[[Replay], dict[str, np.ndarray]]
@@ -58,11 +62,12 @@ class StageExplorer:
         parameters: Parameters | None = None,
         ranges=None,
         camera: bool = True,
-        make_tracker: MakeTracker = FaceTracker,
+        make_tracker: MakeTracker | None = None,
         extra: Callable | None = None,
         start: int = 0,
     ) -> None:
         self.session, self.panes, self.charts, self.extra = session, list(panes.values()), list(charts), extra
+        make_tracker = make_tracker or session.make_tracker
         self.replay = Replay(session.frames, session.actor, parameters, self._on_result, make_tracker)
         expressions = len(session.actor.blendshapes)
         self._eyes = GazeEstimator(session.actor)
@@ -72,7 +77,7 @@ class StageExplorer:
             session.actor, list(panes), limits=limits, label=label, pane=(side, int(1.1 * side)), compare=True
         )
         self.camera = CameraView((190, 220)) if camera else None
-        self.player = Player(len(session.frames), self.show)
+        self.player = Player(len(session.frames), self.show, session.fps)
         self.verdict = widgets.HTML()  #: what has to be said first
         self.message, self._live, self._aside, self._aside_due = widgets.HTML(), False, 0, 0.0
         self.player.button.observe(on_main_thread(lambda _: self._update_charts()), "value")
@@ -236,10 +241,20 @@ class StageExplorer:
 
     def _update_charts(self, charts: Sequence[tuple[LiveChart, ChartSource]] | None = None) -> None:
         if self.replay.done == len(self.session.frames):
-            self.verdict.value = html.escape(verdict_of(self.replay.results))
+            self.verdict.value = html.escape(how_many(self.replay.results))
             self.verdict.layout.display = None if self.verdict.value else "none"
         for chart, source in self.charts if charts is None else charts:
             chart.update(self.player.index, **source(self.replay))
+
+
+def how_many(results: Sequence[TrackedFrame]) -> str:
+    """How many frames are tracked and why not more, in a line; "" where all of them are."""
+    lost = Counter(result.reason for result in results if not result.tracked)
+    if not lost:
+        return ""
+    why = ", ".join(f"{reason} ({count})" for reason, count in lost.most_common(3))
+    count = f"{len(results) - lost.total()} of {len(results)} frames are tracked; the others: {why}"
+    return "; ".join(filter(None, (count, verdict_of(results).replace("--neutral-frames 100:140 takes", f"{NAMED} takes"))))
 
 
 class SeriesCache:
@@ -264,8 +279,10 @@ class SeriesCache:
 
 
 def error_chart(session: Session, measures: Measures, stages: Sequence[str] = ("v1", "v2", "v4"), top: float = 3.0):
-    """The chart "mean error of each stage over the performance" and its source."""
-    chart = LiveChart(stages, (0, len(session.frames) - 1), (0, top), "frame", "mean error, mm", measures.label)
+    """The chart "mean error of each stage over the performance" and its source; ``top`` mm, or more without the truth."""
+    top = top if measures.has_truth else max(top, WITHOUT_TRUTH)
+    title = f"mean error, {measures.unit}"
+    chart = LiveChart(stages, (0, len(session.frames) - 1), (0, top), "frame", title, measures.curve)
     return chart, SeriesCache(lambda result, frame, stage: measures.mean_error(result, frame, stage), stages)
 
 

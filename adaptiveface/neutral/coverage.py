@@ -1,0 +1,65 @@
+"""Which frames of a take make the best neutral scan: calm ones that see the face from as many sides as the take has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..geometry.frame import RgbdFrame
+from ..tracking.detection import pose_from_features
+from .choice import Choice, choose, costs, judge
+
+#: Degrees between two directions from which the second shows something new.
+SPREAD = 12.0
+
+
+def choose_by_coverage(frames: Sequence[RgbdFrame], points: np.ndarray, count: int) -> Choice:
+    """The ``count`` frames to take of those that show a face, in order.
+
+    The leading or the calmest ones as :func:`.choice.choose` finds them, less those that are not calm; where calm frames show
+    the face from other sides, the farthest first, they take the place of up to half of them.
+
+    Parameters
+    ----------
+    frames : sequence of RgbdFrame
+        With 2D features.
+    points : (40, 3)
+        The model's features, mm.
+    count : int
+        How many at most.
+
+    Returns
+    -------
+    Choice
+        Positions in ``frames``, and what is doubtful about them.
+    """
+    judged = [judge(frame, points) for frame in frames]
+    choice = choose(judged, count)
+    calm = [int(k) for k in np.flatnonzero(costs(judged).max(axis=1, initial=0.0) < 1)]
+    core = [k for k in choice.picked if k in calm]
+    if not core:
+        return choice
+    directions = {k: _direction(frames[k], points) for k in calm}
+    nearest = {k: min(_angle(directions[k], directions[other]) for other in core) for k in calm}
+    views: list[int] = []
+    while len(views) < count // 2:
+        farthest = max(nearest, key=nearest.__getitem__)
+        if nearest[farthest] < SPREAD:
+            break
+        views.append(farthest)
+        nearest = {k: min(angle, _angle(directions[k], directions[farthest])) for k, angle in nearest.items()}
+    kept = np.linspace(0, len(core) - 1, min(len(core), count - len(views))).round().astype(int)
+    return Choice(sorted([*views, *(core[k] for k in kept)]), choice.note)
+
+
+def _direction(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
+    """(3,) from the head to the camera, a unit vector in the head frame."""
+    pose = pose_from_features(frame, points)
+    towards = -pose[:3, :3].T @ pose[:3, 3]
+    return towards / max(np.linalg.norm(towards), 1e-9)
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Degrees between two unit vectors."""
+    return float(np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))))

@@ -1,0 +1,114 @@
+"""A recording or a video for the notebooks: which of its frames are tracked, and which make the neutral face."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..errors import AdaptiveFaceError
+from ..geometry.frame import RgbdFrame
+from ..geometry.mesh import surface_points
+from ..model import face_model
+from ..neutral.coverage import choose_by_coverage
+from ..neutral.take import face_found
+from ..pipeline import FrameReader
+from ..sensors import FrameSource
+from ..sensors.numbered import Abilities
+
+DEGRADED = "without depth, degraded: pose and expression come from the 2D features, and nothing is learned"
+
+#: How to name the frames of the neutral face.
+NAMED = "load_session(..., neutral_frames=range(100, 140))"
+
+
+@dataclass(frozen=True)
+class Take:
+    """``neutral`` and ``frames`` of a source, with features; ``note``: what is tracked, and why not more."""
+
+    neutral: list[RgbdFrame]
+    frames: list[RgbdFrame]
+    note: str
+
+
+def read_take(source: FrameSource, neutral_frames: int | Sequence[int], count: int, first: int = 0) -> Take:
+    """Read what a session needs of a recording.
+
+    Parameters
+    ----------
+    source : FrameSource
+        A recording or a video.
+    neutral_frames : int or sequence of int
+        So many, chosen by :func:`~adaptiveface.neutral.coverage.choose_by_coverage`; or the numbers of these very frames.
+    count : int
+        Frames of performance. Where the take is too short to hold both apart, neutral frames are tracked as well.
+    first : int
+        Number of the first frame that counts.
+
+    Returns
+    -------
+    Take
+
+    Raises
+    ------
+    AdaptiveFaceError
+        No frame can be used, or none of the named ones shows a face.
+    """
+    leading = neutral_frames if isinstance(neutral_frames, int) else 0
+    named, found = [], []
+    with FrameReader(source) as reader:
+        for index in () if isinstance(neutral_frames, int) else sorted({k for k in neutral_frames if 0 <= k < len(source)}):
+            named += [frame for frame in [reader.read(index)] if frame is not None and face_found(frame)]
+        for index in range(max(first, 0), len(source)):
+            if len(found) >= leading + count:
+                break
+            found += [frame for frame in [reader.read(index)] if frame is not None]
+        skipped = dict(reader.skipped)
+    if not found:
+        why = f"; {len(skipped)} broken frames, the first: {next(iter(skipped.values()))}" if skipped else ""
+        raise AdaptiveFaceError(f"{source.name}: none of the frames from {first} on can be used; it has {len(source)}{why}")
+    if not leading and not named:
+        raise AdaptiveFaceError(f"{source.name}: no face is seen in the {numbers(neutral_frames)}, named as the neutral")
+    neutral, doubt = (named, "") if named else _chosen(found, leading)
+    taken = {frame.index for frame in neutral}
+    leads = bool(leading) and {f.index for f in found[: len(taken)]} == taken and len(found) >= len(taken) + count
+    frames = (found[len(taken) :] if leads else found)[:count]
+    return Take(neutral, frames, _note(source, neutral, frames, skipped, doubt))
+
+
+def _chosen(found: list[RgbdFrame], count: int) -> tuple[list[RgbdFrame], str]:
+    """The neutral frames, and what is doubtful about the first ones; of a take without faces its first frames."""
+    model = face_model.embedded_face_model()
+    points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    faces = [frame for frame in found if face_found(frame)]
+    choice = choose_by_coverage(faces, points, count)
+    return [faces[k] for k in choice.picked] or found[:count], choice.note
+
+
+def _note(source: FrameSource, neutral: list[RgbdFrame], frames: list[RgbdFrame], skipped: dict[int, str], doubt: str) -> str:
+    """How many frames are tracked and why not more, then what the neutral is; a line each."""
+    what = f"all {len(source)} frames are tracked"
+    if len(frames) < len(source):
+        what = f"{len(frames)} of {len(source)} frames are tracked, {numbers([frame.index for frame in frames])}"
+        untouched = len(source) - len(frames) - len(skipped) - len({f.index for f in neutral} - {f.index for f in frames})
+        what += "; load_session(..., frames=300) takes more" if untouched > 0 else ""
+    if skipped:
+        what += f"; {len(skipped)} cannot be used, the first: {next(iter(skipped.values()))}"
+    unseen = sum(not face_found(frame) for frame in frames)
+    if unseen:
+        what += f"; {unseen} of them show no face"
+    inside = {frame.index for frame in neutral} & {frame.index for frame in frames}
+    face = f"The neutral face: {numbers([frame.index for frame in neutral])}"
+    face += ", which are tracked as well" if inside else ""
+    face += f" ({doubt}; {NAMED} names others)" if doubt else ""
+    lines = [f"{source.name}: {what}.", f"{face}."]
+    if Abilities.of(source).colour_only:
+        lines.insert(0, f"{source.name}: {DEGRADED}.")
+    return "\n".join(lines)
+
+
+def numbers(indices: Sequence[int]) -> str:
+    """Frame numbers in words: "frames 3 to 7", "frame 3", "5 frames from 3 to 40"."""
+    low, high = min(indices, default=0), max(indices, default=0)
+    if low == high:
+        return f"frame {low}"
+    return f"frames {low} to {high}" if high - low + 1 == len(indices) else f"{len(indices)} frames from {low} to {high}"
