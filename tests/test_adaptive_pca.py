@@ -40,7 +40,7 @@ def samples_outside_anchors(model, count, rank=12, seed=0, size=4.0, drift=0.0):
 
 def feed(model, samples):
     for sample in samples:
-        assert model.learn(sample) is SampleState.LEARNED
+        assert model.learn(model.parts(sample)) is SampleState.LEARNED
 
 
 def assert_orthonormal(model, tolerance=1e-9):
@@ -65,7 +65,7 @@ def test_anchor_shapes_drop_a_repeated_blendshape():
 def test_em_in_sample_space_equals_direct_em():
     rng = np.random.default_rng(1)
     samples = rng.normal(size=(300, 40)) * np.linspace(3, 0.1, 300)[:, None]
-    start, _ = orthonormalise(rng.normal(size=(300, 5)))
+    start = orthonormalise(rng.normal(size=(300, 5)))
     direct = start
     for _ in range(4):
         direct = m_step(samples, e_step(direct, samples))
@@ -78,7 +78,7 @@ def test_em_converges_to_batch_pca():
     rng = np.random.default_rng(2)
     left, _ = np.linalg.qr(rng.normal(size=(200, 20)))
     samples = left @ (np.diag(0.6 ** np.arange(20)) @ rng.normal(size=(20, 80)))
-    basis, _ = orthonormalise(rng.normal(size=(200, 3)))
+    basis = orthonormalise(rng.normal(size=(200, 3)))
     for _ in range(100):
         basis = m_step(samples, e_step(basis, samples))
     truth = np.linalg.svd(samples, full_matrices=False)[0][:, :3]
@@ -146,6 +146,41 @@ def test_a_buffer_of_duplicates_stays_well_conditioned(actor):
     feed(model, [sample] * 40)
     assert_orthonormal(model)
     assert np.isfinite(model.correctives).all()
+    assert model.correctives.shape[1] == 1, "what no sample in the buffer has any more is forgotten"
+    feed(model, fresh)
+    assert model.correctives.shape[1] == model.parameters.K
+    assert_orthonormal(model)
+
+
+@pytest.mark.parametrize("startup, count", [("growing", 9), ("growing", 50), ("full-buffer", 9), ("full-buffer", 50)])
+def test_parts_are_those_of_the_basis_written_out(actor, startup, count):
+    """M_K^T d and M_K M_K^T d by the samples, before and after the buffer is full, against the matrix M."""
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=20, startup=startup))
+    samples = samples_outside_anchors(model, count + 1)
+    feed(model, samples[:-1])
+    displacement = samples[-1] + model.anchors @ np.random.default_rng(1).normal(size=model.anchors.shape[1])
+    parts, m = model.parts(displacement), model.correctives
+    np.testing.assert_allclose(parts.in_correctives, m.T @ displacement, atol=1e-3)
+    np.testing.assert_allclose(parts.corrective, m @ (m.T @ displacement), atol=1e-5)
+    np.testing.assert_allclose(parts.anchor, model.anchors @ (model.anchors.T @ displacement), atol=1e-5)
+    rest = displacement - model.anchors @ (model.anchors.T @ displacement)
+    lengths = [np.linalg.norm(r.reshape(-1, 3), axis=1).mean() for r in (rest, rest - m @ (m.T @ rest))]
+    np.testing.assert_allclose(parts.distances(), lengths, atol=1e-5)
+
+
+def test_copies_learn_each_for_itself(actor):
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=4, S=10))
+    samples = samples_outside_anchors(model, 18)
+    feed(model, samples[:12])
+    kept, other, alone = model.copy(), model.copy(), AdaptiveModel(actor, actor.blendshapes, model.parameters)
+    before = model.correctives.copy()
+    feed(other, samples[12:])
+    feed(model, samples[12:15])
+    feed(alone, samples)
+    np.testing.assert_array_equal(kept.correctives, before)
+    np.testing.assert_array_equal(kept.parts(samples[0]).corrective, kept.copy().parts(samples[0]).corrective)
+    np.testing.assert_allclose(kept.parts(samples[0]).corrective, before @ (before.T @ samples[0]), atol=1e-6)
+    np.testing.assert_array_equal(other.correctives, alone.correctives)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +189,7 @@ def test_a_buffer_of_duplicates_stays_well_conditioned(actor):
 def test_thresholds_are_square_centimetres(actor, size, state):
     model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters())
     sample = samples_outside_anchors(model, 1, size=size)[0]
-    assert model.learn(sample) is state
+    assert model.learn(model.parts(sample)) is state
     energy = (sample**2).sum() / 100.0 * 3480 / actor.frontal.sum()
     np.testing.assert_allclose(energy, size, rtol=1e-4)
     assert model.correctives.shape[1] == (1 if state is SampleState.LEARNED else 0)
@@ -164,7 +199,7 @@ def test_nan_samples_are_outliers_and_change_nothing(actor):
     model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters())
     feed(model, samples_outside_anchors(model, 10))
     before = model.correctives.copy()
-    assert model.learn(np.full(len(before), np.nan)) is SampleState.OUTLIER
+    assert model.learn(model.parts(np.full(len(before), np.nan))) is SampleState.OUTLIER
     np.testing.assert_array_equal(model.correctives, before)
 
 
@@ -177,9 +212,9 @@ def test_projection_has_no_seam_at_the_frontal_border(actor):
     for centre in centres:
         bump = 60.0 * np.exp(-((actor.neutral - centre) ** 2).sum(axis=1) / 25.0**2)
         deformation = np.where(inner, 0.0, bump)[:, None] * rng.normal(size=3)
-        model.learn(deformation[actor.frontal].ravel())
+        model.learn(model.parts(deformation[actor.frontal].ravel()))
     assert model.correctives.shape[1] == 3
-    frontal, outside = model.project(deformation[actor.frontal].ravel())
+    frontal, outside = model.project(model.parts(deformation[actor.frontal].ravel()))
     field = np.zeros_like(actor.neutral)
     field[actor.frontal], field[~actor.frontal] = frontal.reshape(-1, 3), outside.reshape(-1, 3)
     pairs = edges(actor.triangles)

@@ -281,7 +281,7 @@ def test_the_full_buffer_start_is_qr_of_the_first_k_samples_and_then_em(actor):
     samples *= 0.3  # between the two limits of a valid sample
     rest = (samples - samples @ left @ left.T).T
     for number in range(1, size + 4):
-        model.learn(samples[number - 1])
+        model.learn(model.parts(samples[number - 1]))
         if number < k:
             continue
         if number == k:

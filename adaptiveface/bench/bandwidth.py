@@ -1,4 +1,4 @@
-"""What limits the incremental PCA: how many bytes a learned frame moves, and how many the machine moves in a second."""
+"""What limits projection and learning: how many bytes a learned frame moves, and how many the machine moves in a second."""
 
 from __future__ import annotations
 
@@ -25,24 +25,18 @@ def stream_rate(repeats: int = 5) -> float:
 def learned_step_bytes(model: AdaptiveModel) -> int:
     """Bytes that the passes of one learned frame read and write, over arrays whose size grows with the mesh.
 
-    Two passes over the samples cannot be spared: the new sample's products with them decide the combination of them that
-    the second pass makes.
+    Anchors and samples are read twice: for the products with the displacement, and for the combination of them that is its
+    part in the adaptive space. Then the new sample takes its row. What EM works on has the size of the buffer only.
     """
     length, anchors = model.anchors.shape
-    correctives, samples, single, double = model.correctives.shape[1], model.count, 4, 8
-    classified = 2 * anchors * single
-    stored = samples * single + correctives * double
-    combined = samples * single + correctives * (2 * single + double)
-    cleaned = (anchors + correctives) * double + (anchors + correctives) * single + correctives * (single + 2 * double)
-    orthonormal = 3 * correctives * double
-    return length * (classified + stored + combined + cleaned + orthonormal)
+    return (2 * (anchors + model.count) + 1) * length * model._samples.itemsize
 
 
 def traffic_line(model: AdaptiveModel, ms: float) -> str:
-    """What a learned frame moves, and its time ``ms`` as a multiple of what the machine needs to move it."""
+    """What projection and learning move, and their time ``ms`` as a multiple of what the machine needs to move it."""
     moved, rate = learned_step_bytes(model), stream_rate()
     least = moved / rate * 1e3
     return (
-        f"adaptive_pca moves {moved / 1e6:.1f} MB a learned frame; this machine reads {rate / 1e9:.1f} GB/s: {least:.2f} ms, "
-        f"of which it takes {ms / least:.1f} times"
+        f"projection and learning move {moved / 1e6:.1f} MB a frame; this machine reads {rate / 1e9:.1f} GB/s: "
+        f"{least:.2f} ms, of which they take {ms / least:.1f} times"
     )

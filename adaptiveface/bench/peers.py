@@ -103,7 +103,7 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
             return super()._precondition(right, correction)
 
     class Model(AdaptiveModel):
-        learn = learned.noting(AdaptiveModel.learn)
+        parts = learned.noting(AdaptiveModel.parts)
 
     stages = Stages(rigid=Rigid, blendshapes=Fit, deformation=Deformation.of, adaptive_pca=Model)
     tracker = FaceTracker(actor, parameters, stages)
@@ -285,17 +285,19 @@ def incremental_pca(recorded: Recorded, limit: int) -> Comparison:
     tracker, decomposition = recorded.tracker, _optional("sklearn.decomposition")
     p = tracker.parameters.adaptive_pca
     model = AdaptiveModel(tracker.actor, tracker.blendshapes.basis, p)
-    judged = [(arguments, *model.classify(arguments[0])) for arguments in recorded.learn]
-    valid = [(arguments, residual) for arguments, state, residual, _ in judged if state is SampleState.LEARNED]
+    judged = [model.parts(*arguments) for arguments in recorded.learn]
+    pairs = zip(recorded.learn, judged, strict=True)
+    valid = [(*arguments, parts.residual) for arguments, parts in pairs if model.classify(parts) is SampleState.LEARNED]
     split = max(len(valid) - limit, 0)
-    for arguments, _ in valid[:split]:
-        model.learn(*arguments)
-    inputs = [(arguments, residual[None]) for arguments, residual in valid[split:]]
+
+    def ours(displacement, _):
+        model.learn(model.parts(displacement))
+
+    for entry in valid[:split]:
+        ours(*entry)
+    inputs = [(displacement, residual[None]) for displacement, residual in valid[split:]]
     if not inputs:
         return Comparison("adaptive_pca", "no valid sample to learn", float("nan"), None)
-
-    def ours(arguments, _):
-        model.learn(*arguments)
 
     peer = None
     if decomposition is not None and min(model.count, split) >= p.K > 0:

@@ -21,7 +21,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
         row: dict = {"parameters": name, "frame": result.index, "updates": model.updates}
         for stage in ("v2", "v4"):
             displacement = (getattr(result, stage) - take.actor.neutral)[frontal].ravel()
-            row[f"{stage}_from_anchors_mm"], row[f"{stage}_from_adaptive_mm"] = model.distances(displacement)
+            row[f"{stage}_from_anchors_mm"], row[f"{stage}_from_adaptive_mm"] = model.parts(displacement).distances()
         rows.append(row)
     figure = Figure(figsize=(9.5, 6.4), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True, sharey=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -99,7 +98,7 @@ def track(
     trackers = {name: FaceTracker(take.actor, parameters) for name, parameters in sets.items()}
     for frame in take.sensor if frames is None else frames:
         for name, tracker in trackers.items():
-            before = copy.copy(tracker.model)  # learning replaces its arrays
+            before = tracker.model.copy()
             yield Tracked(name, tracker.track(frame), before)
 
 

@@ -8,7 +8,10 @@ projected mesh has no seam.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -19,6 +22,9 @@ from .types import SampleState
 
 #: The paper's thresholds hold for centimetres and this many vertices.
 PAPER_VERTICES, MM_PER_CM = 3480, 10.0
+
+#: A corrective with less than this share of the samples' energy is lost in the buffer's single precision.
+LEAST_SHARE = 1e-7
 
 
 def anchor_shapes(blendshapes: np.ndarray, tolerance: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
@@ -32,19 +38,19 @@ def anchor_shapes(blendshapes: np.ndarray, tolerance: float = 1e-6) -> tuple[np.
     return np.ascontiguousarray(vt[keep].T), (u[:, keep] / s[keep]).T
 
 
-def orthonormalise(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """QR factorisation basis = Q R through a Cholesky factor of the Gram matrix: cheap for tall matrices.
+def orthonormalise(basis: np.ndarray) -> np.ndarray:
+    """(3n, k) Q of the factorisation basis = Q R, through a Cholesky factor of the Gram matrix: cheap for tall matrices.
 
     Its error grows with the squared condition number, so ill-conditioned bases get a second pass (CholeskyQR2, Yamamoto
-    et al. 2015). Returns Q (3n, k), stored shape by shape (Fortran order), and R (k, k).
+    et al. 2015). Q is stored shape by shape (Fortran order).
     """
     lower = np.linalg.cholesky(basis.T @ basis)
     rows = np.linalg.inv(lower) @ basis.T
     scale = np.abs(np.diag(lower))
-    if scale.max() < 30.0 * scale.min():
-        return rows.T, lower.T
-    again = np.linalg.cholesky(rows @ rows.T)
-    return (np.linalg.inv(again) @ rows).T, (lower @ again).T
+    if scale.max() >= 30.0 * scale.min():
+        rows = np.linalg.inv(np.linalg.cholesky(rows @ rows.T)) @ rows
+    q: np.ndarray = rows.T
+    return q
 
 
 def e_step(correctives: np.ndarray, samples: np.ndarray) -> np.ndarray:
@@ -85,11 +91,34 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
 EmIterations = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
 
+@dataclass(frozen=True)
+class Parts:
+    """What a displacement d (3n,) is made of: ``anchor`` + ``corrective`` + what the model does not know.
+
+    in_anchors (a,) = M_A^T d and anchor (3n,) = M_A M_A^T d; residual (3n,) = d - anchor, the sample s of section 5;
+    products (count,) = S^T s; in_correctives (k,) = M_K^T d and corrective (3n,) = M_K M_K^T d.
+    """
+
+    in_anchors: np.ndarray
+    anchor: np.ndarray
+    residual: np.ndarray
+    products: np.ndarray
+    in_correctives: np.ndarray
+    corrective: np.ndarray
+
+    def distances(self) -> tuple[float, float]:
+        """Figure 11: mean vertex distance (mm) of d from the anchor and from the adaptive space, as they were when it came."""
+        rest = self.residual - self.corrective
+        return float(_lengths(self.residual.reshape(-1, 3)).mean()), float(_lengths(rest.reshape(-1, 3)).mean())
+
+
 class AdaptiveModel:
     """M = [M_A, M_K]: projection (section 4.3) and learning (section 5).
 
-    Learned state: ``correctives`` (3n, k <= K) orthonormal and orthogonal to ``anchors`` (3n, a); ``updates``; ``mix`` (s, k),
-    the combinations of the samples in the buffer that the correctives are a basis of, None while they grow.
+    The corrective shapes are kept as combinations of the samples in the buffer, M_K = S Z: an EM step then is made of small
+    matrices, and a frame reads the buffer twice, for S^T s and for the combination of samples that M_K M_K^T s is.
+
+    Learned state: ``mix`` (S, k <= K), Z with orthonormal S Z; ``count`` samples in the buffer; ``updates``.
     ``em``: the EM iterations of one update, as :func:`em_in_sample_space` makes them.
     """
 
@@ -103,6 +132,7 @@ class AdaptiveModel:
         self.parameters, self._em = parameters, em
         self.frontal = actor.frontal
         self.anchors, self._anchor_mix = anchor_shapes(blendshapes[:, self.frontal].reshape(len(blendshapes), -1))
+        # In single precision: half the memory to stream, 1e-6 of a displacement.
         self._anchor_rows = np.ascontiguousarray(self.anchors.T, np.float32)
         self._outside = blendshapes[:, ~self.frontal].reshape(len(blendshapes), -1).astype(np.float32)
         n = int(self.frontal.sum())
@@ -114,67 +144,85 @@ class AdaptiveModel:
     def reset(self) -> None:
         """Forget every corrective and every sample."""
         s = self.parameters.S
-        self.correctives = np.zeros((self._size, 0))
         self.updates = 0
         self.count = 0
         self._next = 0
-        self.mix: np.ndarray | None = None
+        self.mix = np.zeros((s, 0))
+        self._correctives: np.ndarray | None = None
         # Samples in float32: half the memory traffic of the two passes over S, far below the sensor's noise.
         self._samples = np.zeros((s, self._size), np.float32)
         self._gram = np.zeros((s, s))
         self._coordinates = np.zeros((s, 0))
         self._sample_anchors = np.zeros((s, self.anchors.shape[1]))
         self._corrective_anchors = np.zeros((self.anchors.shape[1], 0))
+        self._shared = False
+
+    def copy(self) -> Self:
+        """A model that goes its own way; the samples are copied when one of the two learns."""
+        out = copy.copy(self)
+        self._shared = out._shared = True
+        return out
+
+    @property
+    def correctives(self) -> np.ndarray:
+        """M_K (3n, k) orthonormal and orthogonal to ``anchors`` (3n, a), computed when asked for."""
+        if self._correctives is None:
+            self._correctives = self._combined()
+        return self._correctives
+
+    def _combined(self) -> np.ndarray:
+        if self.mix.shape[1] == 0:
+            return np.zeros((self._size, 0))
+        shapes = (self.mix[: self.count].T.astype(np.float32) @ self._samples[: self.count]).astype(float)
+        # Samples are orthogonal to the anchors up to their float32 storage; make it exact. The correction is 1e-7 of
+        # the correctives, so that its own single precision does not show.
+        shapes -= (shapes @ self.anchors).astype(np.float32) @ self._anchor_rows
+        return orthonormalise(shapes.T)
 
     # ---- projection ------------------------------------------------------------------------------------------------
-    def project(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """v3 - b0 = M M^T (v2 - b0): displacement (3n,) -> (frontal (3n,), the other vertices (3 (N - n),))."""
-        in_anchors, anchor_part = self._on_anchors(displacement)
-        in_correctives = self.correctives.T @ displacement
-        frontal = anchor_part + self.correctives @ in_correctives
-        continued = in_anchors - self._corrective_anchors @ in_correctives
-        return frontal, (continued @ self._anchor_mix).astype(np.float32) @ self._outside
+    def parts(self, displacement: np.ndarray) -> Parts:
+        """Take v2 - b0 (3n,) or, equally, v2 - v1 apart: they differ by v1 - b0, which the anchors span."""
+        samples, mix = self._samples[: self.count], self.mix[: self.count]
+        in_anchors = self._anchor_rows @ displacement.astype(np.float32)
+        anchor = in_anchors @ self._anchor_rows
+        residual = displacement - anchor
+        products = samples @ residual.astype(np.float32)
+        in_correctives = products @ mix
+        corrective = (mix @ in_correctives).astype(np.float32) @ samples
+        return Parts(in_anchors.astype(float), anchor, residual, products, in_correctives, corrective)
 
-    def _on_anchors(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """M_A^T d (a,) and M_A M_A^T d (3n,) in single precision: half the memory to stream, 1e-6 of d."""
-        coefficients = self._anchor_rows @ displacement.astype(np.float32)
-        return coefficients.astype(float), coefficients @ self._anchor_rows
+    def project(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
+        """M M^T d: of the frontal vertices (3n,), and of the others (3 (N - n),), mm.
 
-    def distances(self, displacement: np.ndarray) -> tuple[float, float]:
-        """Figure 11: mean vertex distance (mm) of v2 - b0 (3n,), or of v2 - v1, from the anchor and the adaptive space.
-
-        To be asked before that frame is learned from: afterwards a new expression is known already.
+        v3 - b0 = M M^T (v2 - b0) is v3 - v1 = M M^T (v2 - v1), as the anchors span v1 - b0. Outside the frontal region
+        v2 - v1 is zero at the border, and so is what is added there.
         """
-        residual = displacement - self.anchors @ (self.anchors.T @ displacement)
-        anchor = float(_lengths(residual.reshape(-1, 3)).mean())
-        residual = residual - self.correctives @ (self.correctives.T @ residual)
-        return anchor, float(_lengths(residual.reshape(-1, 3)).mean())
+        continued = parts.in_anchors - self._corrective_anchors @ parts.in_correctives
+        return parts.anchor + parts.corrective, (continued @ self._anchor_mix).astype(np.float32) @ self._outside
 
     def energy(self, sample: np.ndarray) -> float:
         """||s||^2 of a sample (3n,) in mm, in the units of valid_min and valid_max: cm^2 over a mesh of the paper's size."""
         return float(sample @ sample) / self._unit
 
     # ---- learning --------------------------------------------------------------------------------------------------
-    def classify(self, displacement: np.ndarray) -> tuple[SampleState, np.ndarray, np.ndarray]:
-        """Validity of a sample v2 - b0 (3n,): (state, s = its residual to the anchor space, its anchor coefficients)."""
-        in_anchors, anchor_part = self._on_anchors(displacement)
-        residual = displacement - anchor_part
-        energy = self.energy(residual)
+    def classify(self, parts: Parts) -> SampleState:
+        """Validity of a sample by its energy."""
+        energy = self.energy(parts.residual)
         if not np.isfinite(energy) or energy >= self.parameters.valid_max:
-            return SampleState.OUTLIER, residual, in_anchors
-        state = SampleState.LEARNED if energy > self.parameters.valid_min else SampleState.IN_ANCHOR_SPACE
-        return state, residual, in_anchors
+            return SampleState.OUTLIER
+        return SampleState.LEARNED if energy > self.parameters.valid_min else SampleState.IN_ANCHOR_SPACE
 
-    def learn(self, displacement: np.ndarray) -> SampleState:
-        """One incremental update from v2 - b0 (3n,) or, equally, from v2 - v1; only valid samples change the model.
+    def learn(self, parts: Parts) -> SampleState:
+        """One incremental update from a displacement, taken apart just now; only valid samples change the model.
 
-        The two differ by v1 - b0, which the anchors span. For the continuation outside the frontal region pass v2 - v1:
-        it vanishes at the border, so that its residual there is minus its anchor part.
+        For the continuation outside the frontal region take the ``parts`` of v2 - v1: it vanishes at the border, so that its
+        residual there is minus its anchor part.
         """
-        state, residual, in_anchors = self.classify(displacement)
+        state = self.classify(parts)
         if state is SampleState.LEARNED and self.parameters.K:
-            self._store(residual, in_anchors)
-            if self._start_up() and self._ready():
+            self._store(parts)
+            self._grow()
+            if self._ready():
                 self._update()
         return state
 
@@ -189,52 +237,50 @@ class AdaptiveModel:
         if not self.parameters.K:
             return
         for displacement in displacements[-self.parameters.S :]:
-            state, residual, in_anchors = self.classify(displacement)
-            if state is SampleState.LEARNED:
-                self._store(residual, in_anchors)
+            parts = self.parts(displacement)
+            if self.classify(parts) is SampleState.LEARNED:
+                self._store(parts)
         if self.count == 0 or not self._ready():
             return
         variances, directions = np.linalg.eigh(self._gram[: self.count, : self.count])
         # As many correctives as there are independent samples; the buffer's single precision hides the others.
         keep = np.flatnonzero(variances > 1e-4 * variances[-1])[::-1][: self.parameters.K]
-        self._coordinates = np.zeros((self.parameters.S, len(keep)))
         self._take(directions[:, keep])
 
-    def _store(self, sample: np.ndarray, in_anchors: np.ndarray) -> None:
+    def _store(self, parts: Parts) -> None:
         """Put a sample into the buffer (the oldest one leaves) and keep S^T S and M_K^T S up to date."""
-        row = self._next
+        if self._shared:
+            self._samples, self._gram = self._samples.copy(), self._gram.copy()
+            self._coordinates, self._sample_anchors = self._coordinates.copy(), self._sample_anchors.copy()
+            self._shared = False
+        row, known = self._next, self.count
         self._next = (row + 1) % self.parameters.S
-        self.count = min(self.count + 1, self.parameters.S)
-        self._samples[row] = sample
-        products = self._samples[: self.count] @ self._samples[row]
-        self._gram[row, : self.count] = self._gram[: self.count, row] = products
-        self._sample_anchors[row] = in_anchors
-        self._coordinates[row] = sample @ self.correctives
+        self.count = min(known + 1, self.parameters.S)
+        self._samples[row] = parts.residual
+        self._gram[row, :known] = self._gram[:known, row] = parts.products
+        self._gram[row, row] = self._samples[row] @ self._samples[row]
+        self._sample_anchors[row] = parts.in_anchors
+        self._coordinates[row] = parts.in_correctives
         self._newest = row
 
-    def _start_up(self) -> bool:
-        """Grow the basis by the newest sample's own direction until K shapes exist; True when EM may run.
+    def _grow(self) -> None:
+        """Until K shapes exist, make the newest sample's own direction one of them: (s - M_K M_K^T s) / length.
 
         S samples have no more than S directions: with more shapes than that EM could never run.
         """
-        k = self.correctives.shape[1]
-        if k >= min(self.parameters.K, self.parameters.S):
-            return True
-        sample = self._samples[self._newest].astype(float)
-        rest = sample - self.correctives @ (self.correctives.T @ sample)
-        rest -= self.anchors @ (self.anchors.T @ rest)
-        length = np.linalg.norm(rest)
+        if self.mix.shape[1] >= min(self.parameters.K, self.parameters.S):
+            return
+        row = self._newest
+        known, square = self._coordinates[row], self._gram[row, row]
+        length = np.sqrt(max(square - known @ known, 0.0))
         # A near-duplicate of what is there has no direction of its own: keep the sample, not the rank deficiency.
-        if length < 1e-2 * np.linalg.norm(sample):
-            return k > 0
-        self.mix = None
-        self.correctives = np.column_stack([self.correctives, rest / length])
-        self.correctives, _ = orthonormalise(self.correctives)
-        self._coordinates = self._samples @ self.correctives
-        own = self._sample_anchors[self._newest][:, None]
-        mixed = own - self._corrective_anchors @ self._coordinates[self._newest, :k][:, None]
-        self._corrective_anchors = np.column_stack([self._corrective_anchors, mixed / length])
-        return True
+        if length < 1e-2 * np.sqrt(square):
+            return
+        in_own = (self._gram[row] - self._coordinates @ known) / length
+        self._coordinates = np.column_stack([self._coordinates, in_own])
+        # Of a sample that has just left, M_K^T S still knows and Z does not: EM follows then, and makes Z anew.
+        own = (np.eye(self.parameters.S)[row] - self.mix @ known) / length
+        self._keep(np.column_stack([self.mix, own]))
 
     def _ready(self) -> bool:
         """The paper updates once the buffer is full; the default from the first sample on."""
@@ -242,25 +288,23 @@ class AdaptiveModel:
 
     def _update(self) -> None:
         """EM on the buffer, then QR: the correctives become the leading principal directions of the samples."""
-        gram, coordinates = self._gram[: self.count, : self.count], self._coordinates[: self.count]
-        # Samples that do not reach every corrective make Y Y^T singular: wait for more of them.
-        if np.linalg.eigvalsh(coordinates.T @ coordinates)[0] <= 1e-12 * np.trace(gram):
-            return
-        self._take(self._em(gram, coordinates.T, self.parameters.em_steps))
+        gram, coordinates = self._gram[: self.count, : self.count], self._coordinates[: self.count].T
+        reached, directions = np.linalg.eigh(coordinates @ coordinates.T)
+        lost = reached <= LEAST_SHARE * np.trace(gram)
+        if lost.any():  # directions that no sample has any more, and that would make Y Y^T singular
+            coordinates = directions[:, ~lost].T @ coordinates
+        self._take(self._em(gram, coordinates, self.parameters.em_steps))
         self.updates += 1
 
-    def combined(self, mix: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The orthonormal basis (3n, k) of the combinations S ``mix`` (s, k) of samples (s, 3n), and its triangle (k, k)."""
-        shapes = (mix.T.astype(np.float32) @ samples).astype(float)
-        # Samples are orthogonal to the anchors up to their float32 storage; make it exact. The correction is 1e-7 of
-        # the correctives, so that its own single precision does not show.
-        shapes -= (shapes @ self.anchors).astype(np.float32) @ self._anchor_rows
-        return orthonormalise(shapes.T)
-
     def _take(self, mix: np.ndarray) -> None:
-        """The orthonormal basis of the combinations S ``mix`` (count, k) of the samples becomes the correctives."""
-        self.mix = mix
-        self.correctives, triangle = self.combined(mix, self._samples[: self.count])
-        mix = mix @ np.linalg.inv(triangle)
-        self._coordinates[: self.count] = self._gram[: self.count, : self.count] @ mix
-        self._corrective_anchors = self._sample_anchors[: self.count].T @ mix
+        """The correctives become Q of the factorisation S ``mix`` = Q R, mix (count, k), through S^T S."""
+        products = self._gram[: self.count, : self.count] @ mix
+        inverse = np.linalg.inv(np.linalg.cholesky(mix.T @ products)).T
+        whole, coordinates = np.zeros((2, self.parameters.S, mix.shape[1]))
+        whole[: self.count], coordinates[: self.count] = mix @ inverse, products @ inverse
+        self._coordinates = coordinates
+        self._keep(whole)
+
+    def _keep(self, mix: np.ndarray) -> None:
+        self.mix, self._correctives = mix, None
+        self._corrective_anchors = self._sample_anchors.T @ mix

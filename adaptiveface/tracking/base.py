@@ -16,7 +16,7 @@ import numpy as np
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
 from ..parameters import Parameters
-from .adaptive_pca import AdaptiveModel
+from .adaptive_pca import AdaptiveModel, Parts
 from .feature_rows import feature_rows
 from .held_out import HeldOut
 from .laplacian import FeatureTerm, feature_term
@@ -73,12 +73,9 @@ class Tracker(ABC):
         )
 
     def copy(self) -> Self:
-        """The tracker as it is between two frames, without copying arrays: tracking on replaces them.
-
-        Only the sample buffer of the adaptive model is shared and goes on changing: of the two, one may learn.
-        """
+        """The tracker as it is between two frames, without copying arrays: tracking on replaces them."""
         out = copy.copy(self)
-        out.model = copy.copy(self.model)
+        out.model = self.model.copy()
         return out
 
     def with_state(self, state: TrackerState) -> Self:
@@ -89,8 +86,6 @@ class Tracker(ABC):
 
     def with_parameters(self, parameters: Parameters, relearn: bool = True) -> Self:
         """A tracker with other ``parameters`` that goes on from this one; only the stages that changed are made anew.
-
-        It takes over the adaptive model, so that this tracker must not learn on.
 
         Parameters
         ----------
@@ -172,10 +167,10 @@ class Tracker(ABC):
         points = np.einsum("fk,fkd->fd", self.actor.feature_weights, mesh[self.actor.feature_triangles])
         return printed_term(frame.features, frame.camera, pose, points, rise, self.parameters.laplacian)
 
-    def _project(self, v2: np.ndarray) -> np.ndarray:
-        """v3 (N, 3): v2 projected on the adaptive space (section 4.3, last equation)."""
-        frontal, outside = self.model.project(self.region.displacement(v2))
-        return self.region.assembled(self.actor.neutral, frontal, outside)
+    def _project(self, v1: np.ndarray, v2: np.ndarray) -> tuple[np.ndarray, Parts]:
+        """v3 (N, 3): v2 projected on the adaptive space (section 4.3, last equation); and what v2 - v1 is made of."""
+        parts = self.model.parts(self.region.difference(v2, v1))
+        return self.region.moved(v1, *self.model.project(parts)), parts
 
     def untracked(self, frame: RgbdFrame, reason: str, ms: dict[str, float] | None = None) -> TrackedFrame:
         """The result of a ``frame`` in which there is no face, or none that can be tracked: the neutral, unmoved."""

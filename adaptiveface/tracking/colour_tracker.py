@@ -80,13 +80,13 @@ class ColourTracker(Tracker):
         with timed(ms, "laplacian"):  # section 4.3 with w1 = 0 is the step of section 4.4
             v2 = self._deform_to_features(frame, pose, v1)
         with timed(ms, "projection"):
-            v3 = self._project(v2)
+            v3, parts = self._project(v1, v2)
         with timed(ms, "final_deformation"):
             v4 = self._deform_to_features(frame, pose, v3)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
         self.state = replace(self.state, pose=pose, coefficients=x, v1=v1, v4=v4)
-        anchor, adaptive = self.model.distances(self.region.displacement(v2))
+        anchor, adaptive = parts.distances()
         return TrackedFrame(
             frame.index,
             frame.timestamp,

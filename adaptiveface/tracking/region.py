@@ -37,9 +37,9 @@ class FrontalRegion:
         """(n, 3) unit normals of the region of a ``mesh`` (N, 3)."""
         return vertex_normals(mesh.take(self.vertices, axis=0), self._triangles)
 
-    def displacement(self, mesh: np.ndarray) -> np.ndarray:
-        """(3n,) displacement of the region of a ``mesh`` (N, 3) from the neutral, mm."""
-        moved: np.ndarray = _differences(mesh, self.vertices, self.neutral).ravel()
+    def difference(self, mesh: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """(3n,) how far the region of a ``mesh`` (N, 3) lies from that of another, ``origin``, mm."""
+        moved: np.ndarray = _differences(mesh, origin, self.vertices).ravel()
         return moved
 
     def displaced(self, mesh: np.ndarray, deformation: np.ndarray) -> np.ndarray:
@@ -48,20 +48,20 @@ class FrontalRegion:
         _move(moved, self.vertices, deformation)
         return moved
 
-    def assembled(self, neutral: np.ndarray, frontal: np.ndarray, outside: np.ndarray) -> np.ndarray:
-        """A copy of ``neutral`` (N, 3), its region moved by ``frontal`` (3n,), the other vertices by ``outside``, mm."""
-        moved = self.displaced(neutral, frontal.reshape(-1, 3))
+    def moved(self, mesh: np.ndarray, frontal: np.ndarray, outside: np.ndarray) -> np.ndarray:
+        """A copy of ``mesh`` (N, 3), its region moved by ``frontal`` (3n,), the other vertices by ``outside``, mm."""
+        moved = self.displaced(mesh, frontal.reshape(-1, 3))
         _move(moved, self.outside, outside.reshape(-1, 3))
         return moved
 
 
 @compiled
-def _differences(mesh: np.ndarray, vertices: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """``mesh[vertices] - origin``, (n, 3), in one pass."""
-    out = np.empty(origin.shape)
+def _differences(mesh: np.ndarray, origin: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """``mesh[vertices] - origin[vertices]``, (n, 3), in one pass."""
+    out = np.empty((len(vertices), 3))
     for i in range(len(vertices)):
         for k in range(3):
-            out[i, k] = mesh[vertices[i], k] - origin[i, k]
+            out[i, k] = mesh[vertices[i], k] - origin[vertices[i], k]
     return out
 
 

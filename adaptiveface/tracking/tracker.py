@@ -12,6 +12,7 @@ from ..model.actor import Actor
 from ..parameters import Parameters
 from ..registration.association import Correspondences, find_correspondences
 from ..registration.surface import DepthSurface, crop_window, depth_surface, occluded_share
+from .adaptive_pca import Parts
 from .base import Tracker, differ, timed
 from .dense_skin import DenseSkin
 from .detection import pose_from_features
@@ -114,12 +115,12 @@ class FaceTracker(Tracker):
             deformation = self._deform(frame, pose, v1, matches, colours)
             v2 = self.region.displaced(v1, deformation)
         with timed(ms, "projection"):  # section 4.3, last equation
-            v3 = self._project(v2)
+            v3, parts = self._project(v1, v2)
         with timed(ms, "final_deformation"):  # section 4.4
             v4 = self._deform_to_features(frame, pose, v3)
-        anchor, adaptive = self.model.distances(deformation.ravel())  # figure 11: before the frame is learned from
         with timed(ms, "adaptive_pca"):  # section 5
-            state = self._learn(deformation, coverage, occluded)
+            anchor, adaptive = parts.distances()  # figure 11: before the frame is learned from
+            state = self._learn(parts, coverage, occluded)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
 
@@ -239,9 +240,9 @@ class FaceTracker(Tracker):
             return self.deformation.deform_to_points(depth_offsets(matches, pose, start), term)
         return self.deformation.deform(matches, planes, term, start, p.cg_iterations)
 
-    def _learn(self, deformation: np.ndarray, coverage: float, occluded: float) -> SampleState:
+    def _learn(self, parts: Parts, coverage: float, occluded: float) -> SampleState:
         """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""
         p = self.parameters.adaptive_pca
         if coverage < p.min_coverage or occluded > p.max_occluded:
             return SampleState.HIDDEN
-        return self.model.learn(deformation.ravel()) if p.learn else self.model.classify(deformation.ravel())[0]
+        return self.model.learn(parts) if p.learn else self.model.classify(parts)

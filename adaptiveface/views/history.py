@@ -1,15 +1,16 @@
 """The tracker before every frame of a performance, in a twentieth of the memory.
 
-Correctives are kept as mixes of the samples that they were learned from, and meshes in single precision, shared with the
-result of the frame before.
+Samples are kept once for all frames, and meshes in single precision, shared with the result of the frame before.
 """
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.base import Tracker
 from ..tracking.types import TrackedFrame
 
@@ -18,13 +19,9 @@ _MESHES = ("v1", "v4", "deformation")
 
 @dataclass
 class _Entry:
-    """A tracker without its correctives, which ``mix`` (s, k) makes of the newest samples among the first ``seen`` ``rows``.
-
-    ``rows``: all samples of that run, in their order. ``mix`` is None where the tracker has its correctives.
-    """
+    """A tracker without its sample buffer, which held the newest among the first ``seen`` of the run's samples ``rows``."""
 
     tracker: Tracker
-    mix: np.ndarray | None
     rows: list[np.ndarray]
     seen: int
 
@@ -43,26 +40,22 @@ class History:
     def start_over(self) -> None:
         """Another run begins; what is known of the last one stays until its frames come."""
         self._rows: list[np.ndarray] = []
-        self._next, self._newest = 0, None
+        self._next, self._model = 0, None
 
     def keep(self, index: int, tracker: Tracker, last: TrackedFrame | None) -> None:
         """Keep ``tracker`` as the one before frame ``index``; ``last``: the result of the frame before."""
-        kept = tracker.copy()
-        model = kept.model
+        kept = copy.copy(tracker)
         kept.state = replace(kept.state, **{name: _single(getattr(kept.state, name), name, last) for name in _MESHES})
+        model = tracker.model
         if model._next != self._next:  # at most one sample per frame
             self._rows.append(model._samples[self._next].copy())
             self._next = model._next
-        newest = self._newest
-        if newest is not None and newest[0] is model.correctives:  # nothing was learned since
-            kept.model = newest[1].tracker.model
-            entry = _Entry(kept, newest[1].mix, newest[1].rows, newest[1].seen)
-        else:
-            entry = _Entry(kept, model.mix, self._rows, len(self._rows))
-            self._newest = model.correctives, entry
-            if model.mix is not None:
-                del model.correctives
-        self._entries[index] = entry
+            self._model = None
+        if self._model is None:
+            self._model = copy.copy(model)
+            self._model._samples = self._model._correctives = None
+        kept.model = self._model
+        self._entries[index] = _Entry(kept, self._rows, len(self._rows))
 
     def known(self, index: int) -> bool:
         """Whether there is a tracker before frame ``index``."""
@@ -80,8 +73,7 @@ class History:
         if self._given is None or self._given[0] is not entry:
             whole = entry.tracker.copy()
             whole.state = replace(whole.state, **{name: getattr(whole.state, name).astype(float) for name in _MESHES})
-            if entry.mix is not None:
-                whole.model.correctives = whole.model.combined(entry.mix, _buffer(entry, whole.model.parameters.S))[0]
+            whole.model._samples = _buffer(entry, whole.model)
             self._given = entry, whole
         return self._given[1]
 
@@ -93,7 +85,8 @@ def _single(mesh: np.ndarray, name: str, last: TrackedFrame | None) -> np.ndarra
     return known if known is not None and np.array_equal(known, single) else single
 
 
-def _buffer(entry: _Entry, size: int) -> np.ndarray:
-    """(s, 3n) the sample buffer as it was, in its own order: sample n lies in row n modulo its size."""
-    newest = entry.seen - 1
-    return np.stack([entry.rows[newest - (newest - row) % size] for row in range(len(entry.mix))])
+def _buffer(entry: _Entry, model: AdaptiveModel) -> np.ndarray:
+    """(count, 3n) the sample buffer as it was, in its own order: sample n lies in row n modulo its size."""
+    newest, size = entry.seen - 1, model.parameters.S
+    rows = [entry.rows[newest - (newest - row) % size] for row in range(model.count)]
+    return np.array(rows, np.float32).reshape(model.count, len(model.anchors))

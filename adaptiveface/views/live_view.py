@@ -253,7 +253,7 @@ class LiveView:
         if self._recorder is not None and self._recorder.error is not None:
             self.record(False)  # raises what stopped it
         recorded = self._recorder.frames if self._recorder else None
-        correctives = session.model.correctives.shape[1]
+        correctives = session.model.mix.shape[1]
         self.controls.figures.value = figures(statistics, dropped, rate, correctives, recorded)
         self._say_trouble(statistics.message)
 

@@ -137,7 +137,7 @@ def energy_chart(session: Session) -> tuple[EnergyChart, ChartSource]:
     def energy(replay: Replay, index: int, result: TrackedFrame) -> float:
         if index not in known or known[index][0] is not result:
             model = replay.tracker.model
-            known[index] = (result, model.energy(model.classify((result.v2 - result.v1)[frontal].ravel())[1]))
+            known[index] = (result, model.energy(model.parts((result.v2 - result.v1)[frontal].ravel()).residual))
         return known[index][1]
 
     def source(replay: Replay) -> dict[str, tuple[np.ndarray, np.ndarray]]:
