@@ -14,7 +14,7 @@ from adaptiveface.evaluation.metrics import surface_distance  # noqa: E402
 from adaptiveface.geometry.mesh import transform_points  # noqa: E402
 from adaptiveface.insides import make_insides  # noqa: E402
 from adaptiveface.insides.gaze import GazeEstimator  # noqa: E402
-from adaptiveface.landmarks.irises import WithIrises  # noqa: E402
+from adaptiveface.landmarks.irises import IrisFinder  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
 from adaptiveface.pipeline import capture_from, one_blas_thread  # noqa: E402
 from adaptiveface.report.pictures import (  # noqa: E402
@@ -111,11 +111,11 @@ def performance(actor, results, sensor, count: int = 7, top: float = 3.0) -> Non
 
     The mesh has its own eyes, teeth and tongue; it looks where the detector sees the irises.
     """
-    looking, eyes, insides = WithIrises(sensor), GazeEstimator(actor), make_insides(actor.neutral, actor.triangles)
+    looking, eyes, insides = IrisFinder(), GazeEstimator(actor), make_insides(actor.neutral, actor.triangles)
     repeat = [r for r in results[len(results) // 2 :] if r.tracked]
     columns, triangles = [], frontal_triangles(actor)
     for result in distinct(repeat, count):
-        frame, mesh = looking.read(result.index), result.in_camera(result.v4)
+        frame, mesh = looking.onto(sensor.read(result.index)), result.in_camera(result.v4)
         gaze = np.nan_to_num(eyes.see(result, frame))
         skin = np.tile(np.array(SKIN, float), (len(mesh), 1))
         head, faces, colours = completed(insides, result.v4, triangles, skin, gaze)

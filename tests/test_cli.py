@@ -140,15 +140,19 @@ def test_the_neutral_is_taken_from_frames_with_a_face(take, monkeypatch):
             return frame
 
     given = []
-    monkeypatch.setattr(pipeline, "capture_actor", lambda frames, *_: given.extend(frame.index for frame in frames))
+    monkeypatch.setattr(
+        "adaptiveface.pipeline.capture.capture_actor", lambda frames, *_: given.extend(frame.index for frame in frames)
+    )
     pipeline.capture_from(Source(take[0]), neutral_frames=3)
     assert given == [1, 3, 4]
 
 
 def test_a_long_scan_is_sampled_evenly(take, monkeypatch):
     given = []
-    monkeypatch.setattr(pipeline, "capture_actor", lambda frames, *_: given.extend(frame.index for frame in frames))
-    monkeypatch.setattr(pipeline, "MAX_NEUTRAL_FRAMES", 3)
+    monkeypatch.setattr(
+        "adaptiveface.pipeline.capture.capture_actor", lambda frames, *_: given.extend(frame.index for frame in frames)
+    )
+    monkeypatch.setattr("adaptiveface.pipeline.capture.MAX_NEUTRAL_FRAMES", 3)
     pipeline.capture_from(Recording(take[0]))
     assert given == [0, 3, 6]
 
@@ -222,7 +226,7 @@ def test_a_missing_system_library_is_explained(take, tmp_path, capsys, monkeypat
     def broken(*_, **__):
         raise ImportError("libGL.so.1: cannot open shared object file: No such file or directory")
 
-    monkeypatch.setattr(pipeline, "track_source", broken)
+    monkeypatch.setattr("adaptiveface.pipeline.track.track_source", broken)
     line = fails(capsys, "track", take[0], "--actor", take[1], "--out", tmp_path / "r.npz")
     assert "libGL.so.1" in line and "apt install" in line
 

@@ -18,7 +18,7 @@ from adaptiveface.insides import make_insides
 from adaptiveface.insides.gaze import GazeEstimator, GazeTrack
 from adaptiveface.insides.head import gaze_rotation
 from adaptiveface.insides.parts import CORNEA
-from adaptiveface.landmarks.irises import WithIrises
+from adaptiveface.landmarks.irises import IrisFinder
 from adaptiveface.livelink import ARKIT_NAMES
 from adaptiveface.livelink.convention import eye_angles, eyes_of_gaze, with_look
 from adaptiveface.result import Result
@@ -161,14 +161,14 @@ def test_irises_are_found_beside_features_that_come_without(scene):
         np.zeros((480, 640), np.float32), CAMERA, np.zeros((480, 640, 3), np.uint8), features=replace(known, face=None)
     )
     detector = SimpleNamespace(detect=lambda frame: seen(actor, pose, gaze, shift=(2.0, -3.0)), close=lambda: None)
-    source = WithIrises(SimpleNamespace(name="take", read=lambda index: bare), detector)
-    frame = source.read(0)
-    assert source.name == "take" and frame.features.pixels is bare.features.pixels
+    finder = IrisFinder(detector)
+    frame = finder.onto(bare)
+    assert frame.features.pixels is bare.features.pixels
     np.testing.assert_allclose(frame.features.irises, known.iris_centres)  # that the detector is off by pixels does not count
     tracked = SimpleNamespace(tracked=True, v4=actor.neutral, head_pose=pose)
     np.testing.assert_allclose(GazeTrack(actor).see(tracked, frame), gaze, atol=1e-6)
     colourless = replace(bare, colour=None)
-    assert WithIrises(SimpleNamespace(read=lambda index: colourless), detector).read(0) is colourless
+    assert finder.onto(colourless) is colourless
 
 
 def test_results_take_it_even_where_the_last_frame_was_interrupted(scene):

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptiveface import pipeline
 from adaptiveface.caches import folders
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError
 from adaptiveface.geometry.camera import Camera
@@ -250,7 +249,7 @@ def test_reading_frames_closes_the_detector_that_it_made(monkeypatch):
             camera = Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
             return RgbdFrame(np.zeros((4, 4), np.float32), camera, np.zeros((4, 4, 3), np.uint8), index, index / 30)
 
-    monkeypatch.setattr(pipeline, "FeatureDetector", Detector)
+    monkeypatch.setattr("adaptiveface.pipeline.reader.FeatureDetector", Detector)
     with FrameReader(Source()) as reader:
         reader.read(0)
         reader.read(1)

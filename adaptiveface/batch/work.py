@@ -86,17 +86,22 @@ def _work(folder: Path, job: Job) -> dict:
     from ..evaluation import ErrorCollector, truth_of
     from ..model.actor import Actor
     from ..parameters import Parameters
-    from ..pipeline import capture_from, track_to_file
+    from ..pipeline import FrameReader, capture_from, track_to_file
     from ..sensors import open_source
 
     parameters = Parameters.from_json(job.parameters)
     source = open_source(job.source)
-    takes: list = []  # of the neutral, if it is captured here
-    actor = Actor.load(job.actor) if job.actor else capture_from(source, parameters, job.neutral_frames, on_take=takes.append)
-    truth = truth_of(source)
-    collector = None if truth is None else ErrorCollector(truth, actor, ("v1", "v4"))
-    collect = None if collector is None else lambda tracked, _: collector.add(tracked)
-    result = track_to_file(source, actor, folder / "result.npz", parameters, on_frame=collect)
+    still_frames: list[int] = []  # of the neutral, if it is captured here
+
+    def on_take(take) -> None:
+        still_frames.append(len(take.frames) if take.leading else 0)
+
+    with FrameReader(source, remember=not job.actor) as reader:
+        actor = Actor.load(job.actor) if job.actor else capture_from(reader, parameters, job.neutral_frames, on_take=on_take)
+        truth = truth_of(source)
+        collector = None if truth is None else ErrorCollector(truth, actor, ("v1", "v4"))
+        collect = None if collector is None else lambda tracked, _: collector.add(tracked)
+        result = track_to_file(reader, actor, folder / "result.npz", parameters, on_frame=collect)
     if not job.actor:
         actor.save(folder / "actor.npz")
     evaluation = None if collector is None else collector.finish()
@@ -106,9 +111,15 @@ def _work(folder: Path, job: Job) -> dict:
     if job.report:
         from ..report import write_report
 
-        still = sum(len(take.frames) for take in takes if take.leading)
         write_report(
-            result, source, actor, folder, truth, evaluation=evaluation, correctives=result.correctives, still_frames=still
+            result,
+            source,
+            actor,
+            folder,
+            truth,
+            evaluation=evaluation,
+            correctives=result.correctives,
+            still_frames=sum(still_frames),
         )
     return summary(result, evaluation)
 

@@ -32,17 +32,18 @@ def run_demo(args: argparse.Namespace) -> int:
     _check_demo(args)
     from ..evaluation import ErrorCollector
     from ..evaluation.coefficients import measure_coefficients
-    from ..pipeline import capture_from, track_to_file
+    from ..pipeline import FrameReader, capture_from, track_to_file
     from ..synthetic.sensor import SyntheticSensor
 
     sensor = SyntheticSensor(args.seed, args.noise, frames=args.frames)
     args.out.mkdir(parents=True, exist_ok=True)
-    actor = capture_from(sensor, chosen, sensor.neutral_frames, progress=True)
-    actor.save(args.out / "actor.npz")
-    collector = ErrorCollector(sensor, actor)
-    result = track_to_file(
-        sensor, actor, args.out / "result.npz", chosen, progress=True, on_frame=lambda tracked, _: collector.add(tracked)
-    )
+    with FrameReader(sensor, remember=True) as reader:
+        actor = capture_from(reader, chosen, sensor.neutral_frames, progress=True)
+        actor.save(args.out / "actor.npz")
+        collector = ErrorCollector(sensor, actor)
+        result = track_to_file(
+            reader, actor, args.out / "result.npz", chosen, progress=True, on_frame=lambda tracked, _: collector.add(tracked)
+        )
     evaluation = collector.finish()
     print(result.summary())
     print(evaluation.table())
@@ -132,32 +133,27 @@ def run_track(args: argparse.Namespace) -> int:
         check_folder(args.report)
         if args.report.is_dir():
             check_output(args.report / "report.html", "html", inputs)
-    from ..landmarks.irises import WithIrises
     from ..model.actor import Actor
-    from ..pipeline import TrackingInterrupted, capture_from, track_to_file
+    from ..pipeline import FrameReader, TrackingInterrupted, capture_from, track_to_file
     from ..result.rows import discard, unfinished_folder
 
     actor = Actor.load(args.actor) if args.actor else None
     source = opened(source_name(args), args.fov)
     still_frames = 0
-    if actor is None:
 
-        def on_take(take) -> None:
-            """The report's jitter is measured where the leading frames are still."""
-            nonlocal still_frames
-            still_frames = len(take.frames) if take.leading else 0
+    def on_take(take) -> None:
+        """The report's jitter is measured where the leading frames are still."""
+        nonlocal still_frames
+        still_frames = len(take.frames) if take.leading else 0
 
-        actor = capture_from(source, chosen, args.neutral_frames, progress=True, on_take=on_take)
-    performed = WithIrises(source) if args.irises else source
     try:
-        result = track_to_file(performed, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
+        with FrameReader(source, irises=args.irises, remember=actor is None) as reader:
+            actor = actor or capture_from(reader, chosen, args.neutral_frames, progress=True, on_take=on_take)
+            result = track_to_file(reader, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
     except TrackingInterrupted as interruption:
         _save_partial(interruption.result, args.out)
         discard(unfinished_folder(args.out))
         raise
-    finally:
-        if args.irises:
-            performed.close()
     print(f"{args.out}: {result.summary()}")
     if args.report:
         _report(result, source, actor, args.report, still_frames=still_frames)

@@ -266,34 +266,37 @@ def write_demo_character(name: str, result: Result, actor: Actor, source, folder
 
 def run_stream(source, parameters, args: argparse.Namespace) -> int:
     """``adaptiveface stream``: track ``source`` and send every frame."""
-    from ..pipeline import capture_from, track_source
+    from ..pipeline import FrameReader, capture_from, track_source
     from .destinations import addresses, avatar, said
     from .stream import Pace, Streamer
 
     found, receiver = addresses(args, default_vmc=True), avatar(args)  # what is wrong fails before the capture
-    actor = Actor.load(args.actor) if args.actor else None
-    actor = actor or capture_from(source, parameters, args.neutral_frames, progress=True)
-    streamer = Streamer(
-        actor,
-        parameters.blendshapes.A,
-        smoothing=_smoothing(args),
-        avatar=receiver,
-        halves=has_units(actor),
-        parameters=parameters.blendshapes,
-        **found,
-    )
-    if streamer.unknown:
-        print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
-    print("\n".join(said(found)))
-    pace = Pace()
+    with FrameReader(source, remember=not args.actor) as reader:
+        if args.actor:
+            actor = Actor.load(args.actor)
+        else:
+            actor = capture_from(reader, parameters, args.neutral_frames, progress=True)
+        streamer = Streamer(
+            actor,
+            parameters.blendshapes.A,
+            smoothing=_smoothing(args),
+            avatar=receiver,
+            halves=has_units(actor),
+            parameters=parameters.blendshapes,
+            **found,
+        )
+        if streamer.unknown:
+            print(f"no ARKit counterpart: {', '.join(streamer.unknown)}")
+        print("\n".join(said(found)))
+        pace = Pace()
 
-    def on_frame(tracked, frame):
-        """Send it, at the recording's own speed unless asked otherwise."""
-        if not args.fast:
-            pace.wait(tracked.timestamp)
-        streamer.send(tracked, frame)
+        def on_frame(tracked, frame):
+            """Send it, at the recording's own speed unless asked otherwise."""
+            if not args.fast:
+                pace.wait(tracked.timestamp)
+            streamer.send(tracked, frame)
 
-    result = track_source(source, actor, parameters, progress=True, on_frame=on_frame)
+        result = track_source(reader, actor, parameters, progress=True, on_frame=on_frame)
     print(result.summary())
     print(f"{streamer.sent} frames sent")
     return 0

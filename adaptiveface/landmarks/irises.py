@@ -13,26 +13,20 @@ from .detector import FeatureDetector
 _CORNERS = np.searchsorted(FEATURE_IDS, [[42, 45], [36, 39]])
 
 
-class WithIrises:
-    """A source whose frames have irises too, found in their colour images; otherwise what ``source`` is."""
+class IrisFinder:
+    """Finds the irises in the colour images of frames that have features without irises; the detector is made on first need."""
 
-    def __init__(self, source, detector: FeatureDetector | None = None) -> None:
-        self._source, self._detector = source, detector
-
-    def __getattr__(self, name: str):
-        return getattr(self._source, name)
-
-    def __len__(self) -> int:
-        return len(self._source)
+    def __init__(self, detector: FeatureDetector | None = None) -> None:
+        self._detector = detector
 
     def close(self) -> None:
-        """Free the detector; the source stays open."""
+        """Free the detector."""
         if self._detector is not None:
             self._detector.close()
+            self._detector = None
 
-    def read(self, index: int) -> RgbdFrame:
-        """As the source's; frames without features or colour, or with irises already, pass unchanged."""
-        frame = self._source.read(index)
+    def onto(self, frame: RgbdFrame) -> RgbdFrame:
+        """The frame with irises; unchanged where it has no features or no colour, or has irises already."""
         features = frame.features
         if features is None or frame.colour is None or features.iris_centres is not None:
             return frame

@@ -1,0 +1,21 @@
+"""Run the whole method: read frames, find their features, capture the neutral, track, and collect one result per frame.
+
+This is where sensors, detector, capture and tracking meet; none of them knows the others. Broken frames are skipped and
+counted, they never reach the tracker.
+"""
+
+from ..runtime.blas import one_blas_thread
+from .capture import MAX_NEUTRAL_FRAMES, capture_from
+from .reader import FrameReader
+from .track import OnFrame, TrackingInterrupted, track_source, track_to_file
+
+__all__ = [
+    "MAX_NEUTRAL_FRAMES",
+    "FrameReader",
+    "OnFrame",
+    "TrackingInterrupted",
+    "capture_from",
+    "one_blas_thread",
+    "track_source",
+    "track_to_file",
+]

@@ -1,0 +1,182 @@
+"""Frames of a source with their 2D features, each of them decoded and looked at once."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from ..errors import FrameError, TrackingError
+from ..geometry.frame import Features2D, RgbdFrame
+from ..landmarks import FeatureDetector, Upright
+from ..landmarks.irises import IrisFinder
+from ..sensors import FrameSource
+from ..sensors.numbered import Abilities
+from ..sensors.orientation import turned
+
+#: Frames that are remembered stay in memory while together they take no more than this. Of the others, which are decoded
+#: again, the features are remembered.
+HELD_BYTES = 256 << 20
+
+
+@dataclass(frozen=True)
+class _Remembered:
+    """What reading a frame gave: its features, by how many quarters it was turned, and the frame where there is room."""
+
+    features: Features2D | None
+    quarters: int
+    frame: RgbdFrame | None
+
+
+class FrameReader:
+    """Reads the frames of a source with their 2D features, and keeps count of the broken ones.
+
+    A context manager, which closes the detectors that it made.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Where the frames come from.
+    detector : FeatureDetector, optional
+        Finds features where the source brings none. It is made on first need, and stays open if it was given.
+    irises : bool
+        Find irises in the colour images of frames whose features come without them.
+    remember : bool
+        Keep what is read until :meth:`rewind`, so that the neutral frames are not read again for the tracking.
+
+    Attributes
+    ----------
+    skipped : dict
+        Number -> reason of every frame that could not be used.
+    reads : int
+        How many frames were asked for.
+    """
+
+    def __init__(
+        self, source: FrameSource, detector: FeatureDetector | None = None, *, irises: bool = False, remember: bool = False
+    ) -> None:
+        self.source, self.detector, self._abilities = source, detector, Abilities.of(source)
+        self._own_detector: FeatureDetector | None = None
+        self._irises = IrisFinder() if irises else None
+        self._upright: Upright | None = None
+        self._remember, self._in_order = remember, True
+        self._known: dict[int, _Remembered | None] = {}  # None: broken
+        self._room = HELD_BYTES
+        self.skipped: dict[int, str] = {}
+        self.reads = 0
+
+    def __enter__(self) -> FrameReader:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        if self._own_detector is not None:
+            self._own_detector.close()
+        if self._irises is not None:
+            self._irises.close()
+
+    def read(self, index: int) -> RgbdFrame | None:
+        """Frame ``index`` with features where a face is seen; None (and an entry in ``skipped``) for a broken frame."""
+        self.reads += 1
+        if not self._remember and index in self._known:
+            return self._recall(index)
+        frame = self._decode(index)
+        frame = None if frame is None else self._with_features(frame)
+        if self._remember:
+            self._take_note(index, frame)
+        return frame
+
+    def again(self, index: int, features: Features2D) -> RgbdFrame:
+        """Frame ``index``, which was read before, with the ``features`` that it had."""
+        known = self._known.get(index)
+        if known is not None and known.frame is not None:
+            return known.frame
+        return dataclasses.replace(turned(self.source.read(index), self.quarters), features=features)
+
+    def rewind(self) -> None:
+        """Begin again with the first frame.
+
+        If the frames were read in order from the first one on, :meth:`read` gives what it gave then and, where that ends, goes
+        on as if it had never stopped. Otherwise nothing is known any more: which face the detector keeps, and which way up
+        it believes it to be, depends on the order of the frames.
+        """
+        self._remember, self._abilities = False, Abilities.of(self.source)
+        if not self._in_order:
+            self._close()
+            if self._own_detector is not None:
+                self.detector = self._own_detector = None
+            self._upright = None
+            self._known.clear()
+            self.skipped.clear()
+
+    def camera_changed(self) -> None:
+        """Of what is remembered, keep the features only: the source's camera is another one now."""
+        for index, known in self._known.items():
+            self._known[index] = None if known is None else dataclasses.replace(known, frame=None)
+
+    def _decode(self, index: int) -> RgbdFrame | None:
+        try:
+            return self.source.read(index)
+        except FrameError as error:
+            self.skipped[index] = str(error)
+            return None
+
+    def _with_features(self, frame: RgbdFrame) -> RgbdFrame:
+        if frame.features is not None or self._abilities.has_features:
+            return frame if self._irises is None else self._irises.onto(frame)
+        if frame.colour is None:
+            raise TrackingError(f"{self.source.name}: neither colour images nor features.csv, so no face can be found")
+        if self.detector is None:
+            self.detector = self._own_detector = FeatureDetector()
+        if self._upright is None:
+            self._upright = Upright(self.detector, self.source.name)
+        return self._upright.detect(frame)
+
+    def _take_note(self, index: int, frame: RgbdFrame | None) -> None:
+        self._in_order &= index == len(self._known)
+        if not self._in_order:
+            self._known.clear()
+        elif frame is None:
+            self._known[index] = None
+        else:
+            size = frame.depth.nbytes + (0 if frame.colour is None else frame.colour.nbytes)
+            held = size <= self._room
+            self._room -= size if held else 0
+            self._known[index] = _Remembered(frame.features, self.quarters, frame if held else None)
+
+    def _recall(self, index: int) -> RgbdFrame | None:
+        """What was read before, once: the tracking goes on from frame to frame."""
+        known = self._known.pop(index)
+        if known is None or known.frame is not None:
+            return None if known is None else known.frame
+        frame = self._decode(index)
+        return None if frame is None else dataclasses.replace(turned(frame, known.quarters), features=known.features)
+
+    @property
+    def quarters(self) -> int:
+        """Quarters of a turn anticlockwise, 0 where the features come with the frames."""
+        return 0 if self._upright is None else self._upright.quarters
+
+    def timestamp(self, index: int) -> float:
+        """Seconds at which frame ``index`` was due, for one that cannot be read."""
+        timestamps = self._abilities.timestamps
+        return float(timestamps[index]) if timestamps is not None else index / self._abilities.fps
+
+    def fail(self, message: str) -> TrackingError:
+        """An error that says ``message`` and, where frames were skipped, how many and the first reason."""
+        if self.skipped:
+            message += f"; {len(self.skipped)} broken frames, the first: {next(iter(self.skipped.values()))}"
+        return TrackingError(f"{self.source.name}: {message}")
+
+
+@contextmanager
+def reading(source: FrameSource | FrameReader, detector: FeatureDetector | None) -> Iterator[FrameReader]:
+    """The reader itself, which whoever made it closes, or one of the source for this once."""
+    if isinstance(source, FrameReader):
+        yield source
+    else:
+        with FrameReader(source, detector) as reader:
+            yield reader
