@@ -27,7 +27,7 @@ from adaptiveface.pipeline import capture_from, track_source
 from adaptiveface.retargeting.arkit import arkit_weights
 from adaptiveface.retargeting.arkit_resolve import unit_names
 from adaptiveface.retargeting.correctives import transferred_correctives
-from adaptiveface.retargeting.retarget import driving_coefficients, head_frames, retarget
+from adaptiveface.retargeting.retarget import driving_coefficients, retarget
 from adaptiveface.retargeting.smoothing import SmoothingCost, smoothing_costs
 from adaptiveface.synthetic.performer import Performer
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -76,7 +76,7 @@ def transfer_errors(sensor, actor, result, step: int = 3) -> dict[str, tuple[flo
     rows = sensor.neutral_frames + frames
     x = driving_coefficients(result, "resolved", actor)[rows]
     alone = np.tensordot(x, blendshapes, axes=1)
-    v1, v4 = actor.neutral + np.tensordot(x, actor.blendshapes, axes=1), head_frames(result)[rows]
+    v1, v4 = actor.neutral + np.tensordot(x, actor.blendshapes, axes=1), result.head_vertices[rows]
     exact = a.neutral + np.tensordot(x, own, axes=1)
     tracked = transferred_correctives(actor.neutral, v1, v4, b.neutral, model.triangles)
     true = transferred_correctives(a.neutral, exact, source, b.neutral, model.triangles)

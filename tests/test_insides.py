@@ -23,7 +23,6 @@ from adaptiveface.insides import make_insides
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.report.pictures import Portraits
 from adaptiveface.retargeting.gltf_file import GltfFile
-from adaptiveface.retargeting.retarget import head_meshes
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +167,7 @@ def test_the_parts_move_as_they_should_and_the_skin_is_what_it_was(scene):
     assert whole.targets is plain.targets
     insides = actor_insides(result, actor)
     frames = np.arange(0, len(result), 5)
-    for frame, skin in zip(frames, head_meshes(result, frames), strict=True):
+    for frame, skin in zip(frames, result.head_meshes(frames), strict=True):
         off = np.linalg.norm(whole.inside.shape(frame) - insides.at(skin), axis=1).max()
         assert off <= 1.01 * TOLERANCE
     assert whole.inside.weights.min() >= 0

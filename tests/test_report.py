@@ -3,6 +3,7 @@
 import base64
 import io
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -11,13 +12,15 @@ from PIL import Image
 from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
 
 from adaptiveface import evaluation as ev
-from adaptiveface.errors import AdaptiveFaceError, FrameError
+from adaptiveface.errors import AdaptiveFaceError, FrameError, ParameterError
 from adaptiveface.evaluation.coefficients import INITIAL, PLAIN, RESOLVED, KnownCoefficients
 from adaptiveface.evaluation.run import STAGES
 from adaptiveface.geometry.mesh import transform_points
 from adaptiveface.geometry.rendering import picture
 from adaptiveface.parameters import Parameters
-from adaptiveface.report import RunRecord, write_report
+from adaptiveface.report import write_report
+from adaptiveface.report.moments import expressive_frames, liveliest_window
+from adaptiveface.result import Result
 from adaptiveface.retargeting.smoothing import COMPARED
 from adaptiveface.tracking.tracker import FaceTracker
 
@@ -127,7 +130,7 @@ def test_retargeting_section_holds_figures_pictures_and_costs(run, tmp_path):
     truth = np.clip(np.random.default_rng(1).normal(0.2, 0.3, (20, 23)), 0, 1)
     found = {INITIAL: truth + 0.1, PLAIN: truth - 0.12, RESOLVED: truth + 0.05}
     known = KnownCoefficients(names, np.arange(20) / 30, truth, found)
-    still = [frames[0]] * 12 + frames
+    still = [replace(frame, index=k) for k, frame in enumerate([frames[0]] * 12 + frames)]
     html = write_report(still, None, source.actor, tmp_path, known=known, still_frames=12, character="ogre").read_text()
     start = html.index("<h2>Retargeting</h2>")
     part = html[start : html.index("<h2>", start + 5)]
@@ -182,42 +185,27 @@ def test_truth_is_scored_where_no_evaluation_is_given(run, tmp_path):
     assert float(row[2]) == pytest.approx(scored["surface_p95"], abs=0.006)
 
 
-def test_record_of_result_arrays_equals_record_of_frames(run):
+def test_report_of_a_saved_result_is_that_of_its_frames(run, tmp_path):
+    """Also in the times of stages that a lost frame did not reach: they are unknown, not zero."""
     source, frames = run
-    record = RunRecord.of(frames)
+    Result.of_frames(frames, source.actor).save(tmp_path / "result.npz")
+    saved = Result.load(tmp_path / "result.npz")
+    assert saved.parameters == Parameters().to_json() and not saved.tracked[4]
+    pages = [write_report(given, source, source.actor, tmp_path, source).read_text() for given in (frames, saved)]
+    assert pages[0] == pages[1]
 
-    class Result:
-        pass
 
-    result = Result()
-    for name in (
-        "vertices",
-        "head_pose",
-        "tracked",
-        "timestamps",
-        "coefficients",
-        "coefficients_initial",
-        "corrective_updates",
-        "sample_state",
-        "stage_ms",
-        "stage_names",
-        "reasons",
-    ):
-        setattr(result, name, getattr(record, name))
-    result.parameters = Parameters().set(laplacian__w1=0.3).to_json()
-    again = RunRecord.of(result)
-    assert again.parameters.laplacian.w1 == 0.3 and np.isnan(again.anchor_distance).all()
-    assert np.array_equal(again.vertices, record.vertices) and again.reasons == record.reasons
-    # v1 is recovered from the initial coefficients alone
-    assert np.allclose(record.initial_vertices(3, source.actor), frames[3].in_camera(frames[3].v1), atol=1e-6)
+def test_a_result_needs_every_frame_of_its_source(run):
+    with pytest.raises(ParameterError, match="frame 2 is in place 1"):
+        Result.of_frames([run[1][0], *run[1][2:]], run[0].actor)
 
 
 def test_chosen_frames_are_tracked_and_apart(run):
-    record = RunRecord.of(run[1])
-    chosen = record.expressive_frames(3, spacing=2)
-    assert chosen == sorted(chosen) and record.tracked[chosen].all() and min(np.diff(chosen)) >= 2
+    result = Result.of_frames(run[1], run[0].actor)
+    chosen = expressive_frames(result, 3, spacing=2)
+    assert chosen == sorted(chosen) and result.tracked[chosen].all() and min(np.diff(chosen)) >= 2
     assert 3 in chosen or 6 in chosen  # the full smile
-    window = record.liveliest_window(5)
+    window = liveliest_window(result, 5)
     assert list(window) == [3, 4, 5, 6, 7]  # the smile of the repeat comes and goes there
 
 

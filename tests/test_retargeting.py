@@ -22,7 +22,7 @@ from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.retargeting.character import Character, load_character
 from adaptiveface.retargeting.correctives import character_correctives, transferred_correctives
 from adaptiveface.retargeting.resolve import blendshape_parameters
-from adaptiveface.retargeting.retarget import driving_coefficients, head_frames, increasing, retarget
+from adaptiveface.retargeting.retarget import driving_coefficients, increasing, retarget
 from adaptiveface.retargeting.smoothing import (
     COMPARED,
     FILTERS,
@@ -116,7 +116,7 @@ def test_export_solves_with_the_parameters_of_the_run(scene, changes):
     actor, result, _ = scene
     parameters = Parameters().set(**{f"blendshapes.{name}": value for name, value in changes.items()})
     fit = BlendshapeFit(actor, parameters.blendshapes)
-    meshes = head_frames(result)
+    meshes = result.head_vertices
     meshes[0] = 2 * actor.neutral - meshes[3]  # an expression the other way
     vertices = np.stack([transform_points(m, v) for m, v in zip(result.head_pose.astype(float), meshes, strict=True)])
     tracked = np.stack([fit.resolve(v4, np.zeros(23)) for v4 in meshes])

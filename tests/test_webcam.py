@@ -33,7 +33,6 @@ from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.colour import capture_colour_actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.pipeline import capture_from, track_source
-from adaptiveface.report import RunRecord
 from adaptiveface.report.sections import heading
 from adaptiveface.result import COLOUR_ONLY, Result
 from adaptiveface.sensors import list_sensors, open_sensor, open_source
@@ -111,7 +110,7 @@ def test_a_video_of_a_performer_is_tracked_from_its_pictures_alone(performer, cl
 
     result.save(tmp_path / "result.npz")
     assert Result.load(tmp_path / "result.npz").colour_only
-    assert COLOUR_ONLY in heading("clip", RunRecord.of(result).colour_only)
+    assert COLOUR_ONLY in heading("clip", result.colour_only)
 
 
 def test_exact_features_track_better_than_a_face_that_never_moves(performer, frames, average):

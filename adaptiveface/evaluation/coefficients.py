@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry.mesh import transform_points
 from ..model.actor import Actor
 from ..parameters import Parameters
 from ..pipeline import track_source
@@ -57,10 +56,7 @@ def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, act
     part = slice(sensor.neutral_frames, None)
     names = tuple(result.expression_names)
     plain = SparseResolve.of(actor, names, replace(blendshape_parameters(result), sparsity=0.0))
-    heads = (
-        transform_points(np.linalg.inv(rigid.astype(float)), v4.astype(float))
-        for rigid, v4 in zip(result.head_pose[part], result.vertices[part], strict=True)
-    )
+    heads = (result[k].head_vertices for k in range(part.start, len(result)))
     found = {
         INITIAL: result.coefficients_initial[part].astype(float),
         PLAIN: np.stack([plain(v4, x) for v4, x in zip(heads, result.coefficients[part], strict=True)]),

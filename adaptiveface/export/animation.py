@@ -12,7 +12,7 @@ from ..model.actor import Actor
 from ..renamed import renamed
 from ..result import Result
 from ..retargeting.character import Character
-from ..retargeting.retarget import Performance, head_blocks, head_meshes
+from ..retargeting.retarget import Performance
 from ..runtime.timing import frame_rate, increasing, time_codes
 from .components import Meshes, frame_blocks, principal_targets
 
@@ -157,7 +157,7 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
     if actor is not None:
         names, neutral, targets, weights = _rig(result, actor)
     else:
-        neutral = sum(meshes.sum(axis=0) for _, meshes in head_blocks(result)) / len(result)
+        neutral = sum(meshes.sum(axis=0) for _, meshes in result.head_blocks()) / len(result)
     if actor is not None and result.correctives is not None and len(result.correctives):
         rest = _without(result, neutral, targets, weights)
         shape, amount = _projected(rest, len(result), result.correctives.astype(float))
@@ -232,7 +232,7 @@ def _without(result: Result, neutral: np.ndarray, targets: np.ndarray, weights: 
 
     def rest(frames: np.ndarray) -> np.ndarray:
         """(f, N, 3) mm of frames (f,)."""
-        return head_meshes(result, frames) - neutral - (weights[frames] @ flat).reshape(len(frames), -1, 3)
+        return result.head_meshes(frames) - neutral - (weights[frames] @ flat).reshape(len(frames), -1, 3)
 
     return rest
 

@@ -9,7 +9,6 @@ import numpy as np
 from ..insides import Insides, make_insides
 from ..model.actor import Actor
 from ..result import Result
-from ..retargeting.retarget import head_blocks, head_meshes
 from .animation import AnimatedMesh, in_slider_range
 from .components import principal_targets
 
@@ -21,7 +20,7 @@ def actor_insides(result: Result, actor: Actor | None = None) -> Insides | None:
     """The parts fitted to the actor's neutral, or to the mean of all frames; None where the mesh is of another model."""
     if actor is not None:
         return make_insides(actor.neutral, actor.triangles)
-    mean = sum(meshes.sum(axis=0) for _, meshes in head_blocks(result)) / len(result)
+    mean = sum(meshes.sum(axis=0) for _, meshes in result.head_blocks()) / len(result)
     return make_insides(mean, result.triangles)
 
 
@@ -39,7 +38,7 @@ def with_insides(mesh: AnimatedMesh, result: Result, actor: Actor | None = None)
     def moved(frames: np.ndarray) -> np.ndarray:
         """(f, P, 3) mm of frames (f,)."""
         gaze = np.zeros((len(frames), 2, 2)) if result.gaze is None else result.gaze[frames].astype(float)
-        return np.stack([insides.at(*pair) for pair in zip(head_meshes(result, frames), gaze, strict=True)]) - rest
+        return np.stack([insides.at(*pair) for pair in zip(result.head_meshes(frames), gaze, strict=True)]) - rest
 
     targets, weights = principal_targets(moved, len(result), TOLERANCE)
     names = tuple(f"inside{k:03d}" for k in range(len(targets)))

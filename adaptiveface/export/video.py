@@ -15,7 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..errors import AdaptiveFaceError, FrameError
-from ..files import blocks, release, replacing
+from ..files import release, replacing
 from ..geometry.camera import Camera
 from ..geometry.mesh import rotation_vector_matrix, transform_points
 from ..geometry.painting import lit, paint
@@ -78,19 +78,12 @@ def tracked_panel(result: Result, insides: Insides | None = None) -> Panel:
         if insides is not None:
             pose = result.head_pose[frame].astype(float)
             gaze = None if result.gaze is None else result.gaze[frame].astype(float)
-            skin = transform_points(np.linalg.inv(pose), result.vertices[frame].astype(float))
+            skin = result[frame].head_vertices
             points = np.concatenate([points, transform_points(pose, insides.at(skin, gaze)) - shift])
         release(result.vertices)
         return paint(camera, points, triangles, lit(points, triangles, albedo), cull=True)
 
     return draw
-
-
-def _framing(result: Result) -> tuple[np.ndarray, float]:
-    """Middle (3,) of the face over all frames, mm, and how far its vertices go from there in any direction."""
-    frontal = result.frontal
-    middle = np.median(np.concatenate([b[:, frontal].mean(axis=1) for _, b in blocks(result.vertices)]), axis=0)
-    return middle, max(float(np.abs(b[:, frontal] - middle).max()) for _, b in blocks(result.vertices))
 
 
 def input_panel(source, result: Result) -> Panel:

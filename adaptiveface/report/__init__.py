@@ -6,17 +6,21 @@ It needs no network, no display and no script; everything is inline, and it foll
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from ..errors import AdaptiveFaceError
 from ..evaluation import ErrorCollector, Evaluation, GroundTruth
 from ..files import replacing
+from ..parameters import Parameters
+from ..result import Result
 from ..retargeting.character import load_character
+from ..runtime.timing import clean_times
 from ..sensors.orientation import as_tracked
 from . import page, retargeting, scenes, sections
-from .context import Context, time_spans
-from .record import RunRecord
+from .context import Context
 
 #: At most this many frames are scored for the report when no evaluation is handed over; they are spread over the run.
 MAX_SCORED = 120
@@ -31,7 +35,7 @@ def write_report(
     *,
     evaluation: Evaluation | None = None,
     correctives: np.ndarray | None = None,
-    parameters=None,
+    parameters: Parameters | None = None,
     known=None,
     still_frames: int = 0,
     character: str = "hag",
@@ -41,7 +45,7 @@ def write_report(
     Parameters
     ----------
     result : Result or iterable of TrackedFrame
-        The tracked frames.
+        The tracked frames, one for every frame of the source.
     source
         Where they came from (``read(index)``, ``name``), or None for a report without pictures of the input.
     actor : Actor
@@ -55,7 +59,7 @@ def write_report(
     correctives : (K, N, 3) or (3n, K), optional
         The corrective shapes at the end, over all vertices or over the frontal ones.
     parameters : Parameters, optional
-        Of the run, where the result does not say.
+        Of the run, where ``result`` is an iterable of frames.
     known : KnownCoefficients, optional
         Coefficients that are known (:mod:`adaptiveface.evaluation.coefficients`).
     still_frames : int
@@ -73,17 +77,15 @@ def write_report(
     AdaptiveFaceError
         The run is empty; its kind :class:`~adaptiveface.errors.FileFormatError` where the truth cannot be read.
     """
-    record = RunRecord.of(result, parameters)
-    truth = None if truth is None else GroundTruth.of(truth)
+    context = _context(result, source, actor, truth, evaluation, parameters)
     note = ""
-    if evaluation is None and truth is not None and record.tracked.any():
-        evaluation, step = score(record, truth, actor)
+    if evaluation is None and context.truth is not None and context.result.tracked.any():
+        step = -(-len(context.result) // MAX_SCORED)
+        context = replace(context, evaluation=score(context, step))
         note = f"Scored here: every {_ordinal(step)} frame." if step > 1 else ""
-    source = as_tracked(source, result)
-    context = Context(record, source, actor, truth, evaluation, time_spans(record, evaluation))
-    name = str(getattr(source, "name", "a performance"))
+    name = str(getattr(context.source, "name", "a performance"))
     body = [
-        sections.heading(name, record.colour_only),
+        sections.heading(name, context.result.colour_only),
         sections.doubt(context),
         scenes.preview(context),
         sections.tiles(context),
@@ -106,19 +108,33 @@ def write_report(
     return path
 
 
-def score(record: RunRecord, truth: GroundTruth, actor) -> tuple[Evaluation, int]:
-    """Errors of v1 and v4 at every ``step``-th frame of the record; returns (evaluation, step)."""
-    step = -(-len(record) // MAX_SCORED)
-    collector = ErrorCollector(truth, actor, ("v1", "v4"))
-    for k in range(0, len(record), step):
-        if record.tracked[k]:
-            meshes = {"v1": record.initial_vertices(k, actor), "v4": record.vertices[k].astype(float)}
-            collector.score(
-                int(record.index[k]), record.head_pose[k], meshes, record.anchor_distance[k], record.adaptive_distance[k]
-            )
+def _context(result, source, actor, truth, evaluation: Evaluation | None, parameters: Parameters | None) -> Context:
+    """What the sections share: a result with an even clock, its source as the tracker saw it, and the truth."""
+    if not isinstance(result, Result):
+        result = Result.of_frames(result, actor, parameters)
+    if not len(result):
+        raise AdaptiveFaceError("the run holds no frame, so there is nothing to report")
+    return Context(
+        replace(result, timestamps=clean_times(result.timestamps).seconds),
+        parameters or Parameters.from_json(result.parameters),
+        as_tracked(source, result),
+        actor,
+        None if truth is None else GroundTruth.of(truth),
+        evaluation,
+    )
+
+
+def score(context: Context, step: int = 1) -> Evaluation:
+    """Errors of v1 and v4 at every ``step``-th frame."""
+    result = context.result
+    collector = ErrorCollector(context.truth, context.actor, ("v1", "v4"))
+    for k in range(0, len(result), step):
+        if result.tracked[k]:
+            meshes = {"v1": context.initial_vertices(k), "v4": result.vertices[k].astype(float)}
+            collector.score(k, result.head_pose[k], meshes, result.anchor_distance[k], result.adaptive_distance[k])
         else:
-            collector.lose(int(record.index[k]))
-    return collector.finish(), step
+            collector.lose(k)
+    return collector.finish()
 
 
 def _whole_mesh(correctives: np.ndarray | None, actor) -> np.ndarray | None:
@@ -134,4 +150,4 @@ def _ordinal(number: int) -> str:
     return {2: "second", 3: "third"}.get(number, f"{number}th")
 
 
-__all__ = ["MAX_SCORED", "RunRecord", "write_report"]
+__all__ = ["MAX_SCORED", "write_report"]

@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from ..bench.paper import PAPER_MS
 from ..evaluation.coefficients import INITIAL, RESOLVED, KnownCoefficients
+from ..parameters.tracking import BlendshapeParameters
+from ..result import Result
 from ..retargeting.smoothing import COMPARED, step_response
 from ..tracking.held_out import BAD
 from ..tracking.types import SampleState
@@ -110,10 +112,12 @@ def _top(values, default: float = 1.0) -> float:
     return float(np.percentile(finite, 99.8)) * 1.15 + 1e-6 if finite.size else default
 
 
-def stage_timings(record) -> str:
+def stage_timings(result: Result) -> str:
     """Median of every stage as a bar, its 95th percentile as a whisker, the paper's figure as a diamond; ms."""
     with matplotlib.rc_context(_STYLE):
-        names, times = list(record.stage_names), record.stage_ms
+        names = result.stage_names
+        # A lost frame may have stopped before a stage ran: its time there is unknown, not zero.
+        times = np.where(result.tracked[:, None] | (result.stage_ms > 0), result.stage_ms, np.nan)
         keep = [k for k in range(len(names)) if np.isfinite(times[:, k]).any()]
         median = np.array([np.nanmedian(times[:, k]) for k in keep])
         p95 = np.array([np.nanpercentile(times[:, k], 95) for k in keep])
@@ -134,14 +138,13 @@ def stage_timings(record) -> str:
         return _svg(figure, "timings")
 
 
-def coefficients(record, names: Sequence[str], spans: Spans = ()) -> str:
+def coefficients(result: Result, limits: BlendshapeParameters, spans: Spans = ()) -> str:
     """Every coefficient over time as one heat map, on the fixed range of its bounds."""
     with matplotlib.rc_context(_STYLE):
-        count = record.coefficients.shape[1]
-        limits = record.parameters.blendshapes
+        count = result.coefficients.shape[1]
         figure, (axis,) = _figure(0.17 * count + 1.1)
-        values = np.where(record.tracked[:, None], record.coefficients, np.nan).T
-        t = record.timestamps
+        values = np.where(result.tracked[:, None], result.coefficients, np.nan).T
+        t = result.timestamps
         step = (t[-1] - t[0]) / max(len(t) - 1, 1) or 1 / 30
         picture = axis.imshow(
             values,
@@ -152,7 +155,7 @@ def coefficients(record, names: Sequence[str], spans: Spans = ()) -> str:
             interpolation="nearest",
             extent=(t[0] - step / 2, t[-1] + step / 2, count - 0.5, -0.5),
         )
-        axis.set_yticks(range(count), list(names)[:count], fontsize=7.5)
+        axis.set_yticks(range(count), result.expression_names, fontsize=7.5)
         axis.set_xlabel("time, s")
         axis.grid(visible=False)
         bar = figure.colorbar(picture, ax=axis, fraction=0.025, pad=0.01, aspect=35)
@@ -162,13 +165,13 @@ def coefficients(record, names: Sequence[str], spans: Spans = ()) -> str:
         return _svg(figure, "coefficients")
 
 
-def adaptation(record, spans: Spans = ()) -> str:
+def adaptation(result: Result, spans: Spans = ()) -> str:
     """Figure 11: mean distance of v2 from the anchor space and from the adaptive space before the frame's update, mm."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
-        t = record.timestamps
-        anchor = _break_at_gaps(record.anchor_distance, record.tracked)
-        adaptive = _break_at_gaps(record.adaptive_distance, record.tracked)
+        t = result.timestamps
+        anchor = _break_at_gaps(result.anchor_distance, result.tracked)
+        adaptive = _break_at_gaps(result.adaptive_distance, result.tracked)
         axis.plot(t, anchor, color=GREEN, label="to the anchor space (initial blendshapes)")
         axis.plot(t, adaptive, color=BLUE, label="to the adaptive space (with the learned correctives)")
         axis.set_ylim(0, _top(np.concatenate([anchor, adaptive])) * 1.2)
@@ -176,26 +179,26 @@ def adaptation(record, spans: Spans = ()) -> str:
         return _svg(figure, "adaptation")
 
 
-def held_out(record, spans: Spans = ()) -> str:
+def held_out(result: Result, spans: Spans = ()) -> str:
     """Error of the held-out landmarks over time, by region, % of the eyes' distance."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
-        t, seen = record.timestamps, record.tracked & (record.held_out > 0).any(axis=1)
+        t, seen = result.timestamps, result.tracked & (result.held_out > 0).any(axis=1)
         colours = (BLUE, ORANGE, GREEN, VERMILLION, SKY, PURPLE, GREY, "#333333", "#a05a2c")
-        for number, region in enumerate(record.held_out_regions):
-            errors = _break_at_gaps(record.held_out[:, number], seen)
+        for number, region in enumerate(result.held_out_regions):
+            errors = _break_at_gaps(result.held_out[:, number], seen)
             axis.plot(t, errors, color=colours[number % len(colours)], linewidth=1, label=region)
         axis.axhline(BAD, color=GREY, linewidth=0.8, linestyle="--")
-        axis.set_ylim(0, max(_top(record.held_out[seen]), BAD) * 1.35)
+        axis.set_ylim(0, max(_top(result.held_out[seen]), BAD) * 1.35)
         _over_time(axis, t, "% of the eyes' distance", 5, spans)
         return _svg(figure, "held_out")
 
 
-def learning(record, spans: Spans = ()) -> str:
+def learning(result: Result, spans: Spans = ()) -> str:
     """What became of each frame as a training sample, and the number of PCA updates so far."""
     with matplotlib.rc_context(_STYLE):
         figure, (states, updates) = _figure(2.9, rows=2, ratios=(1, 2.4))
-        t, state = record.timestamps, np.asarray(record.sample_state)
+        t, state = result.timestamps, np.asarray(result.sample_state)
         width = max(650 / len(t), 0.4)  # points: the strip has no gaps
         for value, (colour, name) in STATE_COLOURS.items():
             times = t[state == value]
@@ -206,7 +209,7 @@ def learning(record, spans: Spans = ()) -> str:
         states.grid(visible=False)
         states.spines["left"].set_visible(False)
         states.legend(loc="lower left", bbox_to_anchor=(0, 1.12), ncols=5, borderaxespad=0, handlelength=1.2)
-        updates.step(t, record.corrective_updates, where="post", color=PURPLE)
+        updates.step(t, result.corrective_updates, where="post", color=PURPLE)
         updates.set_ylabel("PCA updates so far")
         updates.set_xlabel("time, s")
         updates.set_ylim(bottom=0)

@@ -12,7 +12,8 @@ from ..errors import FrameError
 from ..evaluation import PERFORMANCE_NAMES, Evaluation, GroundTruth
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
-from .record import RunRecord
+from ..parameters import Parameters
+from ..result import Result
 
 #: Stretches of the source to mark on time axes: (first second, last second, name).
 Spans = tuple[tuple[float, float, str], ...]
@@ -28,48 +29,47 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Context:
-    """The run, its source (or None), the rig, the truth and the evaluation (or None), the time spans to mark."""
+    """The run and its parameters, its source (or None), the rig, the truth and the evaluation (or None)."""
 
-    record: RunRecord
+    result: Result
+    parameters: Parameters
     source: Source | None
     actor: Actor
     truth: GroundTruth | None = None
     evaluation: Evaluation | None = None
-    spans: Spans = ()
 
-    def frame(self, position: int) -> RgbdFrame | None:
-        """The source's frame at a position of the record, or None where it cannot be read."""
+    def frames(self, numbers: Iterable[int]) -> list[tuple[int, RgbdFrame]]:
+        """(number, frame) of those that can be read."""
+        read = ((number, self._frame(number)) for number in numbers)
+        return [(number, frame) for number, frame in read if frame is not None]
+
+    def _frame(self, number: int) -> RgbdFrame | None:
         if self.source is None:
             return None
         try:
-            return self.source.read(int(self.record.index[position]))
+            return self.source.read(number)
         except FrameError:
             return None
 
-    def frames(self, positions: Iterable[int]) -> list[tuple[int, RgbdFrame]]:
-        """(position, frame) of those that can be read."""
-        read = ((position, self.frame(position)) for position in positions)
-        return [(position, frame) for position, frame in read if frame is not None]
+    def initial_vertices(self, number: int) -> np.ndarray:
+        """(N, 3) mm: v1 = b0 + B x of a frame in the camera frame, from its initial coefficients (section 4.2)."""
+        x, pose = self.result.coefficients_initial[number], self.result.head_pose[number]
+        head = self.actor.neutral + np.tensordot(x, self.actor.blendshapes[: len(x)], axes=1)
+        return head @ pose[:3, :3].T + pose[:3, 3]
 
     @property
     def scored_times(self) -> np.ndarray:
         """(F,) seconds of the scored frames."""
         assert self.evaluation is not None  # only charts of errors ask
-        return scored_times(self.record, self.evaluation)
+        return self.result.timestamps[self.evaluation.index]
 
-
-def scored_times(record: RunRecord, evaluation: Evaluation) -> np.ndarray:
-    """(F,) seconds of the frames that an evaluation scored."""
-    position = {int(index): k for k, index in enumerate(record.index)}
-    return np.array([record.timestamps[position[int(index)]] for index in evaluation.index])
-
-
-def time_spans(record: RunRecord, evaluation: Evaluation | None) -> Spans:
-    """First and last second of the neutral, the first performance and the repeat, as far as they were scored."""
-    if evaluation is None:
-        return ()
-    times, spans = scored_times(record, evaluation), []
-    for number in dict.fromkeys(evaluation.performance.tolist()):
-        part = times[evaluation.performance == number]
-        spans.append((float(part[0]), float(part[-1]), PERFORMANCE_NAMES.get(number, str(number))))
-    return tuple(spans)
+    @property
+    def spans(self) -> Spans:
+        """First and last second of the neutral, the first performance and the repeat, as far as they were scored."""
+        if self.evaluation is None:
+            return ()
+        times, spans = self.scored_times, []
+        for number in dict.fromkeys(self.evaluation.performance.tolist()):
+            part = times[self.evaluation.performance == number]
+            spans.append((float(part[0]), float(part[-1]), PERFORMANCE_NAMES.get(number, str(number))))
+        return tuple(spans)

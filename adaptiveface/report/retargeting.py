@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..evaluation.coefficients import INITIAL, PLAIN, RESOLVED, KnownCoefficients
-from ..geometry.mesh import transform_points
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character
 from ..retargeting.correctives import transferred_correctives
@@ -14,6 +13,7 @@ from ..retargeting.smoothing import smoothing_costs
 from ..runtime.timing import frame_rate
 from . import charts, page, pictures
 from .context import Context
+from .moments import expressive_frames
 
 _BACKDROP, _SIZE, _YAW = (52, 58, 68), 230, 14.0
 #: The first frames of a run still find their pose and coefficients: they do not count as jitter.
@@ -25,7 +25,7 @@ def section(context: Context, character: Character, known: KnownCoefficients | N
 
     ``still_frames``: how many leading frames show a still face (0: none that is known of).
     """
-    if not context.record.tracked.any():
+    if not context.result.tracked.any():
         return ""
     return (
         "<h2>Retargeting</h2><p>What the performance looks like on another face (section 6): driven by the coefficients "
@@ -35,17 +35,17 @@ def section(context: Context, character: Character, known: KnownCoefficients | N
 
 
 def _faces(context: Context, character: Character, count: int = 3) -> str:
-    record, actor = context.record, context.actor
-    candidates = record.expressive_frames(3 * count, spacing=6)
-    differ = np.abs(record.coefficients - record.coefficients_initial).sum(axis=1)
+    result, actor = context.result, context.actor
+    candidates = expressive_frames(result, 3 * count, spacing=6)
+    differ = np.abs(result.coefficients - result.coefficients_initial).sum(axis=1)
     chosen = sorted(sorted(candidates, key=lambda k: -differ[k])[:count])
     portraits = pictures.Portraits(actor, (_SIZE, _SIZE), whole=True)
     rows = []
     for k in chosen:
-        v4 = transform_points(np.linalg.inv(record.head_pose[k].astype(float)), record.vertices[k].astype(float))
+        v4 = result[k].head_vertices
         mesh = pictures.on_backdrop(portraits.draw(v4, turn=_YAW), _BACKDROP)
-        images = [(mesh, f"actor, {record.timestamps[k]:.2f} s")]
-        for shape, text in _driven(record, actor, character, k, v4):
+        images = [(mesh, f"actor, {result.timestamps[k]:.2f} s")]
+        for shape, text in _driven(result, actor, character, k, v4):
             images.append((portrait(character, shape, _SIZE, yaw=_YAW, background=_BACKDROP), text))
         cells = "".join(page.figure(page.image(pixels, f"{character.name}: {text}"), text) for pixels, text in images)
         rows.append(f'<div class="row">{cells}</div>')
@@ -62,11 +62,11 @@ def _faces(context: Context, character: Character, count: int = 3) -> str:
     )
 
 
-def _driven(record, actor, character: Character, k: int, v4: np.ndarray) -> list[tuple[np.ndarray, str]]:
+def _driven(result, actor, character: Character, k: int, v4: np.ndarray) -> list[tuple[np.ndarray, str]]:
     """(V, 3) of the character and a caption: initial, re-solved and, on the actor's topology, with correctives."""
-    x = record.coefficients[k]
+    x = result.coefficients[k]
     table = arkit_weights(actor.expression_names[: len(x)])
-    initial, resolved = character.shape(character.weights(table.curves(np.stack([record.coefficients_initial[k], x]))))
+    initial, resolved = character.shape(character.weights(table.curves(np.stack([result.coefficients_initial[k], x]))))
     out = [(initial, INITIAL), (resolved, RESOLVED)]
     if character.shares_topology(actor.triangles):
         v1 = actor.neutral + np.tensordot(x, actor.blendshapes[: len(x)], axes=1)
@@ -96,12 +96,12 @@ def _errors(known: KnownCoefficients | None) -> str:
 
 
 def _smoothing(context: Context, still_frames: int) -> str:
-    record = context.record
-    still = [k for k in range(_SETTLING, min(still_frames, len(record))) if record.tracked[k]]
+    result = context.result
+    still = [k for k in range(_SETTLING, min(still_frames, len(result))) if result.tracked[k]]
     if len(still) < _FEWEST_STILL:
         return ""
-    fps = frame_rate(record.timestamps)
-    costs = smoothing_costs(record.coefficients[still].astype(float), fps)
+    fps = frame_rate(result.timestamps)
+    costs = smoothing_costs(result.coefficients[still].astype(float), fps)
     rows = [[c.name, f"{c.jitter:.4f}", f"{c.lag:.0f} ms", f"{c.overshoot:.0%}"] for c in costs]
     return (
         "<h3>Smoothing: jitter against lag</h3><p>Jitter: standard deviation of the re-solved coefficients over the "

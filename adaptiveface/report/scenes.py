@@ -8,10 +8,10 @@ import numpy as np
 
 from ..evaluation import motion_error, neutral_alignment
 from ..geometry.frame import RgbdFrame
-from ..geometry.mesh import transform_points
 from ..geometry.rendering import heat_map
 from . import page, pictures
 from .context import Context
+from .moments import expressive_frames, liveliest_window
 
 #: Upper end of the heat maps: difference of the final mesh from the initial blendshape fit, error of its motion; mm.
 HEAT_LIMIT = 4.0
@@ -19,21 +19,21 @@ HEAT_LIMIT = 4.0
 
 def preview(context: Context, length: int = 75, step: int = 2, width: int = 300) -> str:
     """An endless animation of the liveliest stretch: the input, the tracked mesh over it, the mesh from the side."""
-    record, actor = context.record, context.actor
-    read = context.frames(k for k in record.liveliest_window(length)[::step] if record.tracked[k])
+    result, actor = context.result, context.actor
+    read = context.frames(k for k in liveliest_window(result, length)[::step] if result.tracked[k])
     if len(read) < 2:
         return ""
-    meshes = record.vertices[[k for k, _ in read]][:, actor.frontal]
+    meshes = result.vertices[[k for k, _ in read]][:, actor.frontal]
     view = pictures.face_view(read[0][1].camera, meshes, width)
     triangles = pictures.frontal_triangles(actor)
     portraits = pictures.Portraits(actor, (width, view.camera.height), whole=True)
     panels = []
     for k, frame in read:
-        crop, vertices = view.crop(frame.colour, frame.depth), record.vertices[k].astype(float)
-        side = portraits.draw(transform_points(np.linalg.inv(record.head_pose[k]), vertices), turn=40)
+        crop, vertices = view.crop(frame.colour, frame.depth), result.vertices[k].astype(float)
+        side = portraits.draw(result[k].head_vertices, turn=40)
         over = pictures.shaded_overlay(crop, view, vertices, triangles)
         panels.append(np.hstack([crop, over, pictures.on_backdrop(side)]))
-    seconds = record.timestamps[read[-1][0]] - record.timestamps[read[0][0]]
+    seconds = result.timestamps[read[-1][0]] - result.timestamps[read[0][0]]
     milliseconds = int(np.clip(1000 * seconds / (len(read) - 1), 33, 200))
     text = "input, tracked mesh over it, and the mesh from the side, animated"
     return f'<div class="hero">{page.image(page.animation_uri(panels, milliseconds), text)}</div>'
@@ -47,7 +47,7 @@ def legend(low: str, high: str, text: str) -> str:
 
 def tracked_frames(context: Context, count: int = 5, width: int = 250) -> str:
     """Rows of input, mesh over the input, and heat maps, at frames that show much and differ."""
-    read = context.frames(context.record.expressive_frames(count, spacing=10))
+    read = context.frames(expressive_frames(context.result, count, spacing=10))
     if not read:
         return ""
     rows = "".join(_row(context, k, frame, width) for k, frame in read)
@@ -62,8 +62,8 @@ def tracked_frames(context: Context, count: int = 5, width: int = 250) -> str:
 
 
 def _row(context: Context, k: int, frame: RgbdFrame, width: int) -> str:
-    record, actor = context.record, context.actor
-    final, triangles = record.vertices[k].astype(float), pictures.frontal_triangles(actor)
+    result, actor = context.result, context.actor
+    final, triangles = result.vertices[k].astype(float), pictures.frontal_triangles(actor)
     view = pictures.face_view(frame.camera, final[actor.frontal][None], width)
     crop = view.crop(frame.colour, frame.depth)
 
@@ -71,9 +71,9 @@ def _row(context: Context, k: int, frame: RgbdFrame, width: int) -> str:
         return pictures.heat_overlay(crop, view, final, triangles, values, (0, HEAT_LIMIT))
 
     panels = [
-        (crop, f"frame {record.index[k]}, {record.timestamps[k]:.2f} s"),
+        (crop, f"frame {k}, {result.timestamps[k]:.2f} s"),
         (pictures.wire_overlay(crop, view, final, triangles), "final mesh"),
-        (heat(np.linalg.norm(final - record.initial_vertices(k, actor), axis=1)), "added to the blendshape fit"),
+        (heat(np.linalg.norm(final - context.initial_vertices(k), axis=1)), "added to the blendshape fit"),
     ]
     if context.truth is not None:
         panels.append((heat(_motion_error(context, k, final)), "error of motion"))
@@ -84,7 +84,7 @@ def _row(context: Context, k: int, frame: RgbdFrame, width: int) -> str:
 def _motion_error(context: Context, k: int, final: np.ndarray) -> np.ndarray:
     actor, truth = context.actor, context.truth
     assert truth is not None  # asked for by the caller
-    frame = truth[int(context.record.index[k])]
+    frame = truth[k]
     alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
     error = motion_error(final, actor.neutral, frame.vertices, truth.neutral, frame.head_pose, alignment)
     return np.linalg.norm(error, axis=1)

@@ -39,22 +39,22 @@ def heading(name: str, colour_only: bool = False) -> str:
 
 def doubt(context: Context) -> str:
     """What has to be said first: that much of the face was not tracked, and the likely reason."""
-    text = context.record.doubt
+    text = context.result.doubt
     return f"<p><b>{escape(text[0].upper() + text[1:])}.</b></p>" if text else ""
 
 
 def tiles(context: Context) -> str:
     """The figures one looks for first."""
-    record, evaluation = context.record, context.evaluation
-    total = record.stage_ms[record.tracked].sum(axis=1) if record.tracked.any() else np.array([np.nan])
-    learned = int(np.count_nonzero(np.asarray(record.sample_state) == SampleState.LEARNED))
+    result, evaluation = context.result, context.evaluation
+    total = result.stage_ms[result.tracked].sum(axis=1) if result.tracked.any() else np.array([np.nan])
+    learned = int(np.count_nonzero(np.asarray(result.sample_state) == SampleState.LEARNED))
     entries = [
-        (f"{record.tracked.sum()} / {len(record)}", "frames tracked"),
+        (f"{result.tracked.sum()} / {len(result)}", "frames tracked"),
         (
             f"{np.nanmedian(total):.1f} ms",
             f"per frame (median), {np.nanpercentile(total, 95):.1f} ms (95th percentile)",
         ),
-        (str(learned), f"samples learned, {int(record.corrective_updates[-1])} PCA updates"),
+        (str(learned), f"samples learned, {int(result.corrective_updates[-1])} PCA updates"),
     ]
     if evaluation is not None:
         performance = REPEAT if evaluation.frames(REPEAT).any() else None
@@ -71,17 +71,17 @@ def tiles(context: Context) -> str:
 
 def losses(context: Context) -> str:
     """How many frames were skipped or lost, and why."""
-    record = context.record
-    if record.tracked.all():
+    result = context.result
+    if result.tracked.all():
         return "<p>No frame was skipped or lost.</p>"
-    reasons = Counter(reason or "not tracked" for reason, kept in zip(record.reasons, record.tracked, strict=True) if not kept)
+    reasons = Counter(reason or "not tracked" for reason, kept in zip(result.reasons, result.tracked, strict=True) if not kept)
     text = "; ".join(f"{count} × {escape(reason)}" for reason, count in reasons.most_common(6))
-    return f"<p><b>{(~record.tracked).sum()} of {len(record)} frames were skipped or lost:</b> {text}.</p>"
+    return f"<p><b>{(~result.tracked).sum()} of {len(result)} frames were skipped or lost:</b> {text}.</p>"
 
 
 def coefficients(context: Context) -> str:
     """The animation curves, re-solved from the final mesh."""
-    chart = charts.coefficients(context.record, context.actor.expression_names, context.spans)
+    chart = charts.coefficients(context.result, context.parameters.blendshapes, context.spans)
     return (
         "<h2>Animation</h2><p>The blendshape coefficients, solved once more from the final mesh (section 6): what a "
         f'retargeted character receives.</p><div class="chart">{chart}</div>'
@@ -90,19 +90,19 @@ def coefficients(context: Context) -> str:
 
 def fit(context: Context) -> str:
     """How far landmarks that no fit used are from where the face puts them; nothing where none were detected."""
-    record = context.record
-    if record.held_out is None or not (text := describe_fit(record.held_out[record.tracked], record.held_out_regions)):
+    result = context.result
+    if result.held_out is None or not (text := describe_fit(result.held_out[result.tracked], result.held_out_regions)):
         return ""
     return (
         "<h2>Does the face fit?</h2><p>Some of the detector's landmarks are left out of every fit. They show how far the "
         f"tracked face is from the one in the picture: shape, pose and expression together. {escape(text)}.</p>"
-        f'<div class="chart">{charts.held_out(record, context.spans)}</div>'
+        f'<div class="chart">{charts.held_out(result, context.spans)}</div>'
     )
 
 
 def learning(context: Context, correctives: np.ndarray | None) -> str:
     """Figure 11, the sample states, and the corrective shapes as faces."""
-    record = context.record
+    result = context.result
     parts = [
         "<h2>Learning on the fly</h2><p>Each frame whose Laplacian deformation leaves the space of the blendshapes "
         "becomes a training sample for the corrective shapes (section 5). The chart shows how far the deformed mesh v2 is "
@@ -110,9 +110,9 @@ def learning(context: Context, correctives: np.ndarray | None) -> str:
         "11): with a new expression both rise, and the second drops within a few frames. Of a face that is hidden, or of "
         "which too little has depth, nothing is learned.</p>"
     ]
-    if np.isfinite(record.anchor_distance).any():
-        parts.append(f'<div class="chart">{charts.adaptation(record, context.spans)}</div>')
-    parts.append(f'<div class="chart">{charts.learning(record, context.spans)}</div>')
+    if not result.colour_only:
+        parts.append(f'<div class="chart">{charts.adaptation(result, context.spans)}</div>')
+    parts.append(f'<div class="chart">{charts.learning(result, context.spans)}</div>')
     if correctives is not None and len(correctives):
         parts.append(_corrective_faces(context.actor, correctives))
     return "".join(parts)
@@ -180,13 +180,13 @@ def timings(context: Context) -> str:
     return (
         "<h2>Time per stage</h2><p>Measured while this run was tracked, beside the paper's own figures (section 7; its "
         "9 ms for the fit in adaptive space are split into the Laplacian deformation and the projection).</p>"
-        f'<div class="chart">{charts.stage_timings(context.record)}</div>'
+        f'<div class="chart">{charts.stage_timings(context.result)}</div>'
     )
 
 
 def parameters(context: Context) -> str:
     """Every parameter of the run, those that differ from the default marked."""
-    run: Parameters = context.record.parameters
+    run: Parameters = context.parameters
     rows = []
     for entry in describe():
         value = getattr(getattr(run, entry["stage"]), entry["name"])

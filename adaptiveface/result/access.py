@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self, cast, overload
 import numpy as np
 
 from ..errors import MissingExtraError, ParameterError
+from ..files import release
 from ..files.records import declared
 from ..geometry.mesh import transform_points
 from ..geometry.polydata import correctives, surface
@@ -126,9 +127,23 @@ class ResultAccess:
     def head_vertices(self) -> np.ndarray:
         """(F, N, 3) float64 mm: the final meshes v4 in the head frame, where the head does not move.
 
-        All at once: of a long take ask frame by frame, ``result[i].head_vertices``.
+        All at once: of a long take ask frame by frame, ``result[i].head_vertices``, or use :meth:`head_blocks`.
         """
-        return np.stack([to_head(m, v) for m, v in zip(self.head_pose, self.vertices, strict=True)])
+        return self.head_meshes(np.arange(len(self)))
+
+    def head_meshes(self, frames: np.ndarray) -> np.ndarray:
+        """(f, N, 3) float64 mm: the final meshes v4 of the frames with numbers (f,), in the head frame."""
+        meshes = np.empty((len(frames), *self.vertices.shape[1:]))
+        for mesh, frame in zip(meshes, frames, strict=True):
+            mesh[:] = to_head(self.head_pose[frame], self.vertices[frame])
+        release(self.vertices)
+        return meshes
+
+    def head_blocks(self, size: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
+        """The final meshes v4 in the head frame, ``size`` frames at a time: which frames, and (f, N, 3) float64 mm."""
+        for start in range(0, len(self), size):
+            part = slice(start, min(start + size, len(self)))
+            yield part, self.head_meshes(np.arange(part.start, part.stop))
 
     def mesh(self, frame: int, stage: str = "v4", reference: np.ndarray | str = "v1") -> PolyData:
         """One frame's mesh for pyvista.

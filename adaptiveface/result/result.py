@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import FileFormatError
+from ..errors import FileFormatError, ParameterError
 from ..files import blocks
 from ..files.npz import Field, check_indices, load_checked, write_npz
 from ..files.records import array, arrays, by_attribute, checks, read, record, row_dtype
@@ -108,6 +109,46 @@ class Result(ResultAccess):
 
     def __len__(self) -> int:
         return len(self.vertices)
+
+    @classmethod
+    def of_frames(
+        cls,
+        frames: Iterable[TrackedFrame],
+        actor: Actor,
+        parameters: Parameters | None = None,
+        correctives: np.ndarray | None = None,
+    ) -> Result:
+        """The result of frames that a tracker gave.
+
+        Parameters
+        ----------
+        frames : iterable of TrackedFrame
+            One for every frame of the source, in order.
+        actor : Actor
+            The rig that was tracked.
+        parameters : Parameters, optional
+            Of the tracker; our defaults without.
+        correctives : (3n, K), optional
+            The tracker's corrective shapes at the end, over the n frontal vertices.
+
+        Raises
+        ------
+        ParameterError
+            A frame is missing, or not in its place.
+        """
+        frames = list(frames)
+        builder = ResultBuilder(actor, parameters or Parameters(), len(frames))
+        for number, frame in enumerate(frames):
+            if frame.index != number:
+                raise ParameterError(f"frame {frame.index} is in place {number}: a result needs every frame of its source")
+            builder.add(frame)
+        return builder.finish(correctives)
+
+    @property
+    def doubt(self) -> str:
+        """What has to be said first: too few frames are tracked, or the face does not fit; "" where all is well."""
+        first = verdict(self.tracked, self.skipped, self.reasons)
+        return first or ("" if self.held_out is None else warn(self.held_out[self.tracked], self.held_out_regions))
 
     def summary(self) -> str:
         """A few lines for people: how many frames were tracked and learned from, and the median time of each stage."""

@@ -17,7 +17,7 @@ from ..model.actor import Actor
 from ..model.blendshapes import deformation_transfer
 from ..result import Result
 from .character import Character
-from .retarget import driving_coefficients, head_meshes
+from .retarget import driving_coefficients
 
 #: Frames transferred at once: bounds the memory of the right-hand sides.
 _CHUNK = 64
@@ -65,7 +65,7 @@ def carried_correctives(
         """(f, V, 3) mm of frames (f,)."""
         v1 = actor.neutral + (x[frames] @ basis).reshape(len(frames), -1, 3)
         out = np.zeros((len(frames), *character.neutral.shape))
-        v4 = head_meshes(result, frames)
+        v4 = result.head_meshes(frames)
         out[:, : len(target)] = transferred_correctives(actor.neutral, v1, v4, target, actor.triangles)
         return out
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import ParameterError
-from ..files import release
-from ..geometry.mesh import transform_points
 from ..livelink.convention import eyes_of_gaze, with_look
 from ..model.actor import Actor
 from ..renamed import renamed
@@ -83,31 +80,9 @@ def driving_coefficients(result: Result, coefficients: str = "resolved", actor: 
         return result.coefficients.astype(float)
     resolve = SparseResolve.of(actor, result.expression_names, blendshape_parameters(result))
     out = np.empty((len(result), len(result.expression_names)))
-    for part, meshes in head_blocks(result):
+    for part, meshes in result.head_blocks():
         out[part] = [resolve(v4, x) for v4, x in zip(meshes, result.coefficients[part], strict=True)]
     return out
-
-
-def head_frames(result: Result) -> np.ndarray:
-    """(F, N, 3) mm: the final meshes v4 in the head frame, all in memory; :func:`head_blocks` for long takes."""
-    return head_meshes(result, np.arange(len(result)))
-
-
-def head_meshes(result: Result, frames: np.ndarray) -> np.ndarray:
-    """(f, N, 3) mm: the final meshes v4 of the frames with numbers (f,), in the head frame."""
-    inverse = np.linalg.inv(result.head_pose[frames].astype(float))
-    meshes = np.empty((len(frames), *result.vertices.shape[1:]))
-    for mesh, matrix, frame in zip(meshes, inverse, frames, strict=True):
-        mesh[:] = transform_points(matrix, result.vertices[frame].astype(float))
-    release(result.vertices)
-    return meshes
-
-
-def head_blocks(result: Result, size: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
-    """The final meshes v4 in the head frame, ``size`` frames at a time: which, and (f, N, 3) mm."""
-    for start in range(0, len(result), size):
-        part = slice(start, min(start + size, len(result)))
-        yield part, head_meshes(result, np.arange(part.start, part.stop))
 
 
 def retarget(
@@ -140,7 +115,7 @@ def _arkit_performance(result: Result, actor: Actor | None) -> Performance:
         raise ParameterError("coefficients arkit: needs the actor's rig (--actor actor.npz)")
     resolve = ArkitResolve(actor, blendshape_parameters(result))
     curves, before = np.empty((len(result), len(ARKIT_NAMES))), None
-    for part, meshes in head_blocks(result):
+    for part, meshes in result.head_blocks():
         for frame, v4 in zip(range(part.start, part.stop), meshes, strict=True):
             curves[frame] = before = resolve(v4, before)
     return Performance(curves, increasing(result.timestamps), result.head_pose.astype(float))
