@@ -35,7 +35,6 @@ from adaptiveface.export.gltf import read_glb_animation, write_glb
 from adaptiveface.export.obj_sequence import read_obj_sequence, write_obj_sequence
 from adaptiveface.export.usd import read_usd, write_usd
 from adaptiveface.geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
-from adaptiveface.landmarks import model_file
 from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import embedded_face_model, load_face_model, save_face_model
 from adaptiveface.pipeline import track_source
@@ -158,11 +157,6 @@ def writers(folder: Path) -> list[Writer]:
         Writer("actor.npz", rig, lambda p: digest(Actor.load(p).neutral)),
         Writer("result.npz", lambda p, take: results[take].save(p), lambda p: digest(Result.load(p).vertices)),
         Writer("model.npz", face_model, lambda p: digest(load_face_model(p).mean)),
-        Writer(
-            "face.task",
-            lambda p, take: model_file._store(bytes([65 + take]) * (4 << 20), p),
-            lambda p: {4 << 20: hashlib.sha256(p.read_bytes()).hexdigest()}[p.stat().st_size],
-        ),
     ]
 
 

