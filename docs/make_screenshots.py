@@ -1,9 +1,10 @@
 """Screenshots of the notebooks for the docs, from JupyterLab in a headless browser.
 
-    python docs/make_screenshots.py [--chromium /usr/bin/chromium] [--whole FOLDER] [00 05 ...]
+    python docs/make_screenshots.py [--chromium /usr/bin/chromium] [--whole FOLDER] [--views FOLDER] [00 05 ...]
 
 Needs the extras ``notebooks`` and ``test``. Every notebook is run from top to bottom; the picture shows its first view.
-``--whole`` also writes each notebook from top to bottom, in JupyterLab's light and dark theme, for looking at.
+For looking at: ``--whole`` also writes each notebook from top to bottom, in JupyterLab's light and dark theme, and ``--views``
+every view of it in windows of two sizes, light and dark (1280 x 720 without the list of files, 1440 x 900 with it).
 """
 
 from __future__ import annotations
@@ -35,6 +36,17 @@ UPPER_PART = """view => {
   outer.scrollBy(0, view.getBoundingClientRect().top - outer.getBoundingClientRect().top - 250);
 }"""
 SIZE = {"width": 1280, "height": 1150}
+WINDOWS = {False: {"width": 1280, "height": 720}, True: {"width": 1440, "height": 900}}  # by whether files are listed
+WHOLE = """() => {  // all cells in the page at once: JupyterLab otherwise takes out those that are not in sight
+  const { content } = window.jupyterapp.shell.currentWidget;
+  content.notebookConfig = { ...content.notebookConfig, windowingMode: 'none' };
+}"""
+LISTED = "() => !window.jupyterapp.shell.leftCollapsed"
+TOP = """view => {
+  const outer = document.querySelector('.jp-WindowedPanel-outer');
+  outer.scrollBy(0, view.getBoundingClientRect().top - outer.getBoundingClientRect().top - 4);
+}"""
+OUTPUT = ".jp-OutputArea-output:has(canvas, img, iframe, .jupyter-widgets):not(:has(.adaptiveface-saved, [role=progressbar]))"
 VIEW = ".jp-OutputArea-output .jupyter-widgets canvas, .jp-OutputArea-output .jupyter-widgets img, .jp-OutputArea-output img"
 
 
@@ -63,6 +75,7 @@ def run_all(page: Page, address: str) -> None:
     page.goto(address)
     page.wait_for_selector(".jp-NotebookPanel .jp-CodeCell", timeout=60_000)
     page.wait_for_function(IDLE, timeout=60_000)
+    page.evaluate(WHOLE)
     page.evaluate("() => window.jupyterapp.commands.execute('application:toggle-left-area')")
     page.evaluate("() => window.jupyterapp.commands.execute('notebook:run-all-cells')")
     page.wait_for_timeout(1000)
@@ -92,9 +105,30 @@ def photograph_whole(page: Page, folder: Path, number: str) -> None:
     height = page.evaluate(HEIGHT)
     page.set_viewport_size({**SIZE, "height": min(int(height) + 200, 14_000)})
     for name in ("Dark", "Light"):
-        page.evaluate(f"() => window.jupyterapp.commands.execute('apputils:change-theme', {{theme: 'JupyterLab {name}'}})")
-        page.wait_for_timeout(2500)
+        change_theme(page, name)
         page.screenshot(path=folder / f"{number}_{name.lower()}.png")
+
+
+def change_theme(page: Page, name: str) -> None:
+    """JupyterLab in "Light" or "Dark"."""
+    page.evaluate(f"() => window.jupyterapp.commands.execute('apputils:change-theme', {{theme: 'JupyterLab {name}'}})")
+    page.wait_for_timeout(2500)
+
+
+def photograph_views(page: Page, folder: Path, number: str) -> None:
+    """Every view at the top of the window, as ``NUMBER_VIEW_WIDTH_THEME.png``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for listed, size in WINDOWS.items():
+        page.set_viewport_size(size)
+        if page.evaluate(LISTED) != listed:
+            page.evaluate("() => window.jupyterapp.commands.execute('application:toggle-left-area')")
+        for theme in ("Dark", "Light"):
+            change_theme(page, theme)
+            for k, view in enumerate(page.locator(OUTPUT).all()):
+                for _ in range(2):  # cells above change their height when they come in sight
+                    view.evaluate(TOP)
+                    page.wait_for_timeout(700)
+                page.screenshot(path=folder / f"{number}_{k}_{size['width']}_{theme.lower()}.png")
 
 
 def main() -> None:
@@ -102,6 +136,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--chromium", default="/usr/bin/chromium")
     parser.add_argument("--whole", type=Path, metavar="FOLDER", help="also whole notebooks, light and dark, in here")
+    parser.add_argument("--views", type=Path, metavar="FOLDER", help="also every view, in two sizes, light and dark, in here")
     parser.add_argument("numbers", nargs="*", help="e.g. 00 05 live; default: all")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
@@ -124,6 +159,8 @@ def main() -> None:
                 photograph(page, PICTURES / f"notebook_{number}.jpg")
                 if args.whole:
                     photograph_whole(page, args.whole, number)
+                if args.views:
+                    photograph_views(page, args.views, number)
                 print(path.name, "a cell raised" if failed else "fine", flush=True)
                 page.evaluate("() => window.jupyterapp.shell.currentWidget.sessionContext.shutdown()")
                 page.close()

@@ -321,6 +321,36 @@ def test_the_legend_of_a_live_chart_lies_within_the_picture_and_beside_the_axes(
     assert axes.height > 0.3 * size[1]
 
 
+def contrast(a: str, b: str) -> float:
+    """WCAG's contrast ratio of two colours "#rrggbb"."""
+
+    def luminance(colour: str) -> float:
+        rgb = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+
+    low, high = sorted((luminance(a), luminance(b)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("kind", ["lines", "bars", "grid"])
+def test_charts_are_transparent_and_their_text_reads_on_light_and_dark_pages(kind):
+    size = (300, 200)
+    if kind == "lines":
+        chart = views.LiveChart(("a", "b"), (0, 10), (0, 1), "frame", "mm", "a title", size=size)
+        chart.update(a=np.linspace(0, 1, 11))
+    elif kind == "bars":
+        chart = views.BarChart(("a", "b"), (0, 1), "mm", "a title", size=size)
+        chart.update([0.5, 1.0])
+    else:
+        chart = views.GridChart((1, 2), (3, 4), "K", "w2", "a title", (0, 1), size=size)
+        chart.set(0, 0, 0.3)
+    rgba = cv2.imdecode(np.frombuffer(chart._image.value, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert rgba.shape == (*size[::-1], 4) and (rgba[..., 3] == 0).mean() > 0.4
+    title = rgba[2:16][rgba[2:16, :, 3] > 200]
+    ink = "#" + "".join(f"{round(value):02x}" for value in np.median(title, axis=0)[[2, 1, 0]])
+    assert len(title) > 20 and min(contrast(ink, "#ffffff"), contrast(ink, "#111111")) > 4
+
+
 def test_live_chart_draws_lines_in_place_and_leaves_gaps():
     chart = views.LiveChart(("a", "b"), (0, 10), (0, 1), "frame", "mm", size=(300, 200))
     empty = decoded(chart._image)

@@ -5,9 +5,10 @@ const CSS = `
 .adaptiveface-thresholds { position: relative; display: inline-block; max-width: 100%; margin: 2px 0; }
 .adaptiveface-thresholds img { display: block; max-width: 100%; height: auto; }
 .adaptiveface-threshold { position: absolute; height: 17px; margin-top: -9px; cursor: ns-resize; touch-action: none; }
-.adaptiveface-threshold::before { content: ""; position: absolute; top: 8px; left: 0; right: 0; border-top: 2px dashed #555; }
-.adaptiveface-threshold span { position: absolute; right: 2px; top: -8px; font: 11px sans-serif; color: #333;
-  background: rgba(255, 255, 255, 0.8); padding: 0 2px; user-select: none; }
+.adaptiveface-threshold::before { content: ""; position: absolute; top: 8px; left: 0; right: 0; border-top: 2px dashed #7a7a7a; }
+.adaptiveface-threshold span { position: absolute; right: 2px; top: -8px; font: 11px sans-serif; padding: 0 2px;
+  color: var(--jp-ui-font-color1, var(--vscode-editor-foreground, CanvasText));
+  background: var(--jp-layout-color0, var(--vscode-editor-background, Canvas)); user-select: none; }
 .adaptiveface-threshold:focus { outline: none; }
 .adaptiveface-threshold:focus::before, .adaptiveface-threshold:hover::before { border-top-color: #d55e00; }`;
 

@@ -1,7 +1,7 @@
 """Charts that are updated in place, fast enough to grow while a performance plays.
 
 A full Matplotlib drawing takes 50 ms and more. Here axes and labels are drawn once, and an update only draws the lines
-over a copy of them.
+over a copy of them. Charts are transparent: they stand on light and on dark pages.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from .figures import INK, inked, pixels
 from .pictures import encode, image_widget
 
 #: Okabe & Ito's colours, told apart with any colour vision.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", INK)
 
 #: Little room between the entries of a legend.
 LEGEND_TIGHT = {"columnspacing": 1.0, "handletextpad": 0.3, "borderpad": 0.2}
 #: Widths in a legend, pixels: a line with the space around it, a letter.
 LEGEND_HANDLE, LEGEND_LETTER = 42, 6
 
-_BAR = np.array([0x00, 0x72, 0xB2], np.uint8)  # the first of them
+_BAR = np.array([0x00, 0x72, 0xB2, 0xFF], np.uint8)  # the first of them
 
 
 class LiveChart:
@@ -33,6 +34,7 @@ class LiveChart:
     ``styles``: by name, what a line is drawn with instead (Matplotlib's ``Line2D`` properties).
     """
 
+    @inked()
     def __init__(
         self,
         names: Sequence[str],
@@ -45,7 +47,7 @@ class LiveChart:
         log: bool = False,
         styles: dict[str, dict] | None = None,
     ) -> None:
-        figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white", layout="constrained")
+        figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, layout="constrained")
         self._canvas, self._axis = FigureCanvasAgg(figure), figure.add_subplot()
         axis = self._axis
         axis.set(xlim=(x[0], max(x[1], x[0] + 1)), ylim=y, xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
@@ -59,7 +61,7 @@ class LiveChart:
             style = {"color": colour, "lw": 1.6} | (styles or {}).get(name, {})
             (line,) = axis.plot([], [], label=name, animated=True, **style)
             self._lines[name] = line
-        self._cursor = axis.axvline(np.nan, color="0.4", lw=1, animated=True)
+        self._cursor = axis.axvline(np.nan, color=INK, lw=1, animated=True)
         if len(self._lines) > 1:  # below the axes, where it hides no line
             handles = [_copy(line, name) for name, line in self._lines.items()]
             room = max(1, int(size[0] / (LEGEND_HANDLE + LEGEND_LETTER * max(map(len, self._lines)))))
@@ -85,7 +87,7 @@ class LiveChart:
         self._canvas.restore_region(self._background)
         for artist in (self._cursor, *self._lines.values()):
             self._axis.draw_artist(artist)
-        self._image.value = encode(np.asarray(self._canvas.buffer_rgba())[..., :3], "png")
+        self._image.value = encode(pixels(self._canvas), "png")
 
 
 def _copy(line: Line2D, name: str) -> Line2D:
@@ -99,10 +101,11 @@ def _copy(line: Line2D, name: str) -> Line2D:
 class BarChart:
     """Horizontal bars with fixed axes, updated in place: a number for each name. ``widget`` is what to display."""
 
+    @inked()
     def __init__(
         self, names: Sequence[str], x: tuple[float, float], xlabel: str, title: str, size: tuple[int, int] = (330, 460)
     ) -> None:
-        figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white", layout="constrained")
+        figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         axis, places = figure.add_subplot(), np.arange(len(names))
         axis.set(xlim=x, ylim=(len(names) - 0.5, -0.5))
@@ -112,15 +115,15 @@ class BarChart:
         axis.set_title(title, fontsize=9)
         axis.grid(axis="x", alpha=0.3)
         canvas.draw()
-        self._background = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        self._background = pixels(canvas).copy()
 
-        def pixels(data: np.ndarray) -> np.ndarray:
+        def places_of(data: np.ndarray) -> np.ndarray:
             """(n, 2) px of data (n, 2)."""
             return axis.transData.transform(data)
 
-        (self._left, _), (self._right, _) = pixels(np.array([[x[0], 0], [x[1], 0]]))
+        (self._left, _), (self._right, _) = places_of(np.array([[x[0], 0], [x[1], 0]]))
         self._low, self._high = x
-        edges = np.stack([pixels(np.column_stack([0 * places, places + side])) for side in (-0.35, 0.35)])
+        edges = np.stack([places_of(np.column_stack([0 * places, places + side])) for side in (-0.35, 0.35)])
         self._rows = np.rint(size[1] - edges[..., 1]).astype(int).T
         self._image = image_widget(*size, format="png", name="adaptiveface-chart")
         self.widget = widgets.VBox([self._image])
@@ -164,9 +167,10 @@ class GridChart:
         self.values[row, column] = value
         self.draw()
 
+    @inked()
     def draw(self) -> None:
         """The map as it is now, as a picture."""
-        figure = Figure(figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, facecolor="white", layout="constrained")
+        figure = Figure(figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, layout="constrained")
         canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
         low, high = self.limits
         image = axis.imshow(self.values, vmin=low, vmax=high, cmap="viridis", aspect="auto")
@@ -182,4 +186,4 @@ class GridChart:
         axis.set_title(title, fontsize=9)
         figure.colorbar(image, ax=axis).ax.tick_params(labelsize=8)
         canvas.draw()
-        self._image.value = encode(np.asarray(canvas.buffer_rgba())[..., :3], "png")
+        self._image.value = encode(pixels(canvas), "png")

@@ -21,6 +21,7 @@ from ..tracking.feature_rows import feature_rows
 from ..tracking.kalman import CoefficientFilter
 from ..tracking.types import TrackedFrame
 from .charts import COLOURS, LiveChart
+from .figures import INK, inked, pixels
 from .pictures import encode, image_widget
 from .replay import Replay
 from .session import Session
@@ -81,11 +82,12 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
     return FitProblem(h, depth_rows.T @ depth_right + parameters.w * feature_rows_.T @ feature_right)
 
 
+@inked()
 def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], title: str = "") -> widgets.Image:
     """Bars per expression and solution, with the allowed range [0, 1] in grey."""
-    figure = Figure(figsize=(9.2, 3.6), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(9.2, 3.6), dpi=100, layout="constrained")
     canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
-    axis.axhspan(0, 1, color="0.92", zorder=0)
+    axis.axhspan(0, 1, color=INK, alpha=0.2, lw=0, zorder=0)
     width = 0.8 / len(solutions)
     for k, (name, x) in enumerate(solutions.items()):
         axis.bar(np.arange(len(x)) + (k - (len(solutions) - 1) / 2) * width, x, width, color=COLOURS[k], label=name)
@@ -95,7 +97,7 @@ def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], tit
     axis.legend(fontsize=8)
     canvas.draw()
     image = image_widget(920, 360, "png")
-    image.value = encode(np.asarray(canvas.buffer_rgba())[..., :3], "png")
+    image.value = encode(pixels(canvas), "png")
     return image
 
 

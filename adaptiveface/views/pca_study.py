@@ -13,6 +13,7 @@ from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.types import SampleState, TrackedFrame
 from .charts import COLOURS, BarChart, LiveChart
 from .face_view import FaceView
+from .figures import INK
 from .kernel import BackgroundTask, on_main_thread, running_loop
 from .replay import Replay
 from .session import Session
@@ -87,7 +88,7 @@ MARKS = {
     SampleState.LEARNED: ("learned", {"marker": "o", "ms": 3, "ls": "", "color": COLOURS[2]}),
     SampleState.IN_ANCHOR_SPACE: ("too near", {"marker": "v", "ms": 4, "ls": "", "color": COLOURS[0]}),
     SampleState.OUTLIER: ("outlier", {"marker": "x", "ms": 6, "mew": 2, "ls": "", "color": COLOURS[1]}),
-    SampleState.HIDDEN: ("hidden", {"marker": "s", "ms": 3, "ls": "", "color": "0.6"}),
+    SampleState.HIDDEN: ("hidden", {"marker": "s", "ms": 3, "ls": "", "color": INK}),
 }
 
 

@@ -10,9 +10,10 @@ from ..geometry.frame import RgbdFrame
 
 
 def encode(image: np.ndarray, format: str = "jpeg", quality: int = 85) -> bytes:
-    """(H, W, 3) uint8 RGB -> the bytes of a picture file."""
+    """(H, W, 3) uint8 RGB, or (H, W, 4) with opacity for a PNG -> the bytes of a picture file."""
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if format == "jpeg" else []
-    done, data = cv2.imencode("." + format, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
+    order = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
+    done, data = cv2.imencode("." + format, cv2.cvtColor(image, order), options)
     if not done:
         raise ValueError(f"an image of shape {image.shape} cannot be encoded")
     return data.tobytes()

@@ -16,14 +16,13 @@ from ..neutral.fit import fit_identity
 from ..neutral.fuse import fuse_frames
 from ..parameters import FitParameters
 from ..pipeline import one_blas_thread
-from ..report.pictures import Portraits, on_backdrop
+from ..report.pictures import Portraits
 from .charts import COLOURS
-from .figures import picture
+from .figures import INK, inked, picture
 from .session import Session
 
 #: So many times the deviation that people have is as good as none at all: the prior counts 1e-4 of itself.
 FREE = 100.0
-_PALE = (245, 245, 245)
 
 
 @dataclass(frozen=True)
@@ -71,6 +70,7 @@ def with_and_without(session: Session, count: int) -> tuple[PriorFit, PriorFit]:
     return tuple(fit_with_prior(frames, deviations, session.truth) for deviations in (1.0, FREE))
 
 
+@inked()
 def show_priors(session: Session, fits: Sequence[PriorFit], top: float = 5.0):
     """Heads of several fits from the front and the side, coloured by their error, and their coefficients."""
     figure = Figure(figsize=(8.4, 3.1 * len(fits)), layout="constrained")
@@ -80,12 +80,12 @@ def show_priors(session: Session, fits: Sequence[PriorFit], top: float = 5.0):
         known = np.isfinite(fit.error).any()
         for axis, turn in ((front, 0.0), (side, 60.0)):
             drawn = portraits.draw(fit.vertices, fit.error if known else None, (0, top), turn)
-            axis.imshow(on_backdrop(drawn, _PALE))
+            axis.imshow(drawn)
             axis.axis("off")
         front.set_title("without the prior" if fit.deviations > 1 else "with the prior", fontsize=10)
         side.set_title(f"colour: distance from the true head,\n0 to {top:g} mm" if known else "", fontsize=8)
         bars.bar(np.arange(len(fit.identity)) + 1, fit.identity, color=COLOURS[0])
-        bars.axhspan(-2, 2, color="0.92", zorder=0)
+        bars.axhspan(-2, 2, color=INK, alpha=0.2, lw=0, zorder=0)
         bars.set(ylim=(-6, 6), xlabel="mode", ylabel="standard deviations")
         bars.set_title("coefficients; grey: 95 % of people", fontsize=9)
     return picture(figure, "the head fitted with and without the identity prior, and its coefficients")

@@ -17,13 +17,12 @@ from ..geometry.mesh import surface_points, triangle_normals
 from ..model.actor import Actor
 from ..model.blendshapes import STILL, deformation_gradients, gradient_operator
 from ..model.face_model import FaceModel, embedded_face_model
-from ..report.pictures import Portraits, on_backdrop
+from ..report.pictures import Portraits
 from .charts import COLOURS
-from .figures import picture
+from .figures import INK, inked, picture
 
 #: Numbers of the features on the middle of the upper and lower lid of each eye.
 LIDS = {"eyeBlinkRight": ((9, 13), (10, 12)), "eyeBlinkLeft": ((15, 19), (16, 18))}
-_PALE = (245, 245, 245)
 
 
 @dataclass(frozen=True)
@@ -103,6 +102,7 @@ class TransferStudy:
         return self.model.generic_expressions[self.names.index(name)]
 
     # ---- pictures ---------------------------------------------------------------------------------------------------
+    @inked()
     def show_correspondence(self, name: str, triangle: int):
         """Both heads in an expression, coloured by how far each triangle turns; one triangle marked on both."""
         figure = Figure(figsize=(8.4, 3.3), layout="constrained")
@@ -114,7 +114,7 @@ class TransferStudy:
         titles = ("average head", f"{name}, average", "this head", f"{name}, this head")
         for axis, head, title in zip(axes, (self.model.mean, average, self.actor.neutral, personal), titles, strict=True):
             portraits = Portraits(self.actor, (300, 380), whole=False)
-            axis.imshow(on_backdrop(portraits.draw(head, angle, (0, 20)), _PALE))
+            axis.imshow(portraits.draw(head, angle, (0, 20)))
             spot = head[self.model.triangles[triangle]].mean(axis=0)
             pixel = _pixel(portraits, spot)
             axis.plot(*pixel, "o", ms=9, mfc="none", mec="#D55E00", mew=1.6)
@@ -128,6 +128,7 @@ class TransferStudy:
         total = np.bincount(corners, np.repeat(values, 3), len(self.model.mean))
         return total / np.maximum(np.bincount(corners, minlength=len(total)), 1)
 
+    @inked()
     def show_triangle(self, name: str, triangle: int):
         """One triangle before and after, on both heads, each in its neutral's plane; and the matrix S that is handed over."""
         model, corners = self.model, self.model.triangles[triangle]
@@ -136,9 +137,9 @@ class TransferStudy:
         solved = target + self.actor.blendshapes[self.names.index(name)][corners]
         figure = Figure(figsize=(8.4, 3.0), layout="constrained")
         left, middle, right = figure.subplots(1, 3)
-        for points, colour, label in ((source, "0.6", "neutral"), (source + self._shape(name)[corners], COLOURS[0], name)):
+        for points, colour, label in ((source, INK, "neutral"), (source + self._shape(name)[corners], COLOURS[0], name)):
             _outline(left, points, _plane(source), colour, label)
-        _outline(middle, target, _plane(target), "0.6", "neutral")
+        _outline(middle, target, _plane(target), INK, "neutral")
         _outline(middle, target @ s.T, _plane(target), COLOURS[1], "asked for", "--")
         _outline(middle, solved, _plane(target), COLOURS[0], "solved for")
         left.set_title("average head", fontsize=9)
@@ -153,12 +154,13 @@ class TransferStudy:
         angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
         right.imshow(s, cmap="RdBu_r", vmin=-1.5, vmax=1.5)
         for (row, column), value in np.ndenumerate(s):
-            right.text(column, row, f"{value:+.2f}", ha="center", va="center", fontsize=9)
+            right.text(column, row, f"{value:+.2f}", ha="center", va="center", fontsize=9, color="black")
         lengths = ", ".join(f"{value:.2f}" for value in np.linalg.eigvalsh(stretch))
         right.set_title(f"S: a turn by {angle:.0f}°,\nstretches {lengths}", fontsize=9)
         right.set(xticks=[], yticks=[])
         return picture(figure, f"triangle {triangle} in {name}: neutral and expression on both heads, and its matrix S")
 
+    @inked()
     def show_matrix(self, system: System):
         """Where the matrix has entries: as the vertices are numbered, in the solver's order, and its factor."""
         figure = Figure(figsize=(8.4, 3.1), layout="constrained")
@@ -173,6 +175,7 @@ class TransferStudy:
             axis.imshow(
                 _density(matrix), cmap="Blues", norm=LogNorm(1e-4, 1.0), extent=(0, matrix.shape[1], matrix.shape[0], 0)
             )
+            axis.set_facecolor("white")  # the palest of these colours mean the fewest entries
             axis.set_title(f"{title}\n{matrix.nnz} entries", fontsize=9)
             axis.tick_params(labelsize=7)
         return picture(figure, "entries of the transfer's matrix, in two orders, and of its factor")
