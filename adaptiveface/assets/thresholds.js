@@ -8,7 +8,7 @@ const CSS = `
 .adaptiveface-threshold::before { content: ""; position: absolute; top: 8px; left: 0; right: 0; border-top: 2px dashed #7a7a7a; }
 .adaptiveface-threshold span { position: absolute; right: 2px; top: -8px; font: 11px sans-serif; padding: 0 2px;
   color: var(--jp-ui-font-color1, var(--vscode-editor-foreground, CanvasText));
-  background: var(--jp-layout-color0, var(--vscode-editor-background, Canvas)); user-select: none; }
+  background: color-mix(in srgb, var(--jp-layout-color0, var(--vscode-editor-background, Canvas)) 70%, transparent); user-select: none; }
 .adaptiveface-threshold:focus { outline: none; }
 .adaptiveface-threshold:focus::before, .adaptiveface-threshold:hover::before { border-top-color: #d55e00; }`;
 

@@ -120,7 +120,7 @@ class ParameterPanel:
 
     def _grouped(self, groups: dict[str, list[widgets.Widget]]) -> widgets.Widget:
         # As high as the heads beside it: what is used most comes first, and the rest is scrolled to.
-        boxes = [widgets.VBox(rows, layout=widgets.Layout(max_height="310px", overflow="auto")) for rows in groups.values()]
+        boxes = [widgets.VBox(rows, layout=widgets.Layout(max_height="240px", overflow="auto")) for rows in groups.values()]
         if len(boxes) == 1:
             (stage,) = groups
             return widgets.VBox([widgets.HTML(f"<b>{TITLES.get(stage, stage)}</b>"), *boxes])

@@ -35,14 +35,23 @@ class CorrectiveView:
         label = "displacement along the normal, mm"
         self.view = FaceView.of(session.actor, titles, limits=(-reach, reach), label=label, pane=(200, 230))
         self.amount = widgets.FloatSlider(
-            reach, min=-2 * reach, max=2 * reach, step=0.25, description="amount, mm", layout=widgets.Layout(width="420px")
+            reach,
+            min=-2 * reach,
+            max=2 * reach,
+            step=0.25,
+            description="amount, mm",
+            layout=widgets.Layout(width="420px"),
+            style={"description_width": "90px"},
         )
         self.amount.add_class("adaptiveface-amount")
         self.values = BarChart(
             [str(k + 1) for k in range(most)], (0, 0.6), "mm (rms of a vertex)", "singular values", size=(260, 260)
         )
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
-        self.widget = widgets.HBox([widgets.VBox([self.view.widget, self.amount]), self.values.widget], layout=row)
+        heads = widgets.VBox([self.view.widget, self.amount])
+        wide = self.view.pane[0] * count
+        heads.layout = widgets.Layout(flex=f"1 1 {int(0.78 * wide)}px", max_width=f"{wide + 4}px", min_width="0")
+        self.widget = widgets.HBox([heads, self.values.widget], layout=row)
         self._last: tuple | None = None
         self._wanted: tuple[Replay, int] | None = None
         self._task, self._rows = BackgroundTask(), SampleRows()
