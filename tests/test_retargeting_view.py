@@ -85,6 +85,16 @@ def test_a_moved_slider_takes_over(study):
     study.view.camera = [0.0, 0.0, 1.0]
 
 
+def test_the_faces_stand_on_the_colour_of_the_page(study):
+    light, sent = study.picture(), bytes(study.view.value)
+    study.view.background = [17, 17, 17]  # what the browser sends in JupyterLab's dark theme
+    dark = study.picture()
+    assert bytes(study.view.value) != sent and (dark[-1, 0] == 17).all() and (light[-1, 0] == 255).all()
+    title = np.s_[4:18, 6:60]
+    assert dark[title].max() > 200 and light[title].min() < 80
+    study.view.background = [255, 255, 255]
+
+
 def test_playback_draws_every_frame(study):
     study.mode.value = RESOLVED
     pictures = []

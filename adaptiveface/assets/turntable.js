@@ -31,6 +31,27 @@ function render({ model, el }) {
   model.on("change:value", show);
   show();
 
+  // The page's colour behind the picture: the first opaque one of what holds it.
+  function tellBackground() {
+    let [colour, holder] = [[255, 255, 255, 1], image];
+    while ((holder = holder.parentElement ?? holder.getRootNode().host)) {
+      const [red, green, blue, opacity = 1] = getComputedStyle(holder).backgroundColor.match(/[\d.]+/g)?.map(Number) ?? [0, 0, 0, 0];
+      if (opacity === 1) {
+        colour = [red, green, blue];
+        break;
+      }
+    }
+    colour = colour.slice(0, 3).map(Math.round);
+    if (String(colour) === String(model.get("background"))) return;
+    model.set("background", colour);
+    model.save_changes();
+  }
+  // A theme changes attributes of the page, and its colours when its style sheet is there.
+  const theme = new MutationObserver(() => [0, 1000].forEach((wait) => setTimeout(() => image.isConnected && tellBackground(), wait)));
+  for (const node of [document.documentElement, document.body])
+    theme.observe(node, { attributes: true, attributeFilter: ["class", "style", "theme", "data-jp-theme-light", "data-theme"] });
+  requestAnimationFrame(() => image.isConnected && tellBackground());
+
   const fingers = new Map(); // pointers that are down, by id: [x, y]
   let camera = model.get("camera");
   let waiting = 0;
@@ -101,6 +122,7 @@ function render({ model, el }) {
 
   return () => {
     window.removeEventListener("wheel", elsewhere, { capture: true });
+    theme.disconnect();
     model.off("change:value", show);
     model.off("change:camera", follow);
     cancelAnimationFrame(waiting);

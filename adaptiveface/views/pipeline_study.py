@@ -47,10 +47,11 @@ class AblationView:
         self._titles = titles = [
             name.replace("without the adaptive space and the final deformation", "v2 as the output") for name in names
         ]
-        self.view = FaceView.of(session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(300, 330))
+        self.view = FaceView.of(session.actor, titles, limits=(0, 2), label=self.measures.label, shape=shape, pane=(220, 250))
         self._eyes, self.note = GazeEstimator(session.actor), widgets.HTML()
         self.player = Player(len(self.frames), self.show)
-        self.widget = widgets.VBox([self.view.widget, self.player.widget, self.note])
+        row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
+        self.widget = widgets.VBox([widgets.HBox([self.view.widget, self.note], layout=row), self.player.widget])
         self.player.go_to(start) if start else self.show(0)
 
     def show(self, index: int) -> None:

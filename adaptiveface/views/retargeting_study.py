@@ -80,18 +80,18 @@ class RetargetingStudy:
             "frame",
             "coefficient",
             "initial against re-solved",
-            size=(460, 220),
+            size=(460, 200),
         )
         self.message = widgets.HTML()
         self.view = Turntable(width=self.pane * (1 + len(self.characters)), height=self.pane, name="adaptiveface-characters")
         redraw = on_main_thread(self._redraw)
         for control in (self.mode, self.compared, self.expression):
             control.observe(lambda change: redraw(), "value")
-        self.view.observe(lambda change: redraw(), "camera")
+        self.view.observe(lambda change: redraw(), ["camera", "background"])
         for slider in self.sliders.values():
             slider.observe(lambda change: self._to_sliders(redraw), "value")
         sliders = list(self.sliders.values())
-        box = widgets.VBox([*sliders, TypedNumbers(sliders)], layout=widgets.Layout(max_height="260px", overflow="auto"))
+        box = widgets.VBox([*sliders, TypedNumbers(sliders)], layout=widgets.Layout(max_height="240px", overflow="auto"))
         box.add_class("adaptiveface-numbers")
         below = widgets.HBox(
             [box, widgets.VBox([self.compared, self.expression, self.chart.widget])],
@@ -160,9 +160,11 @@ class RetargetingStudy:
         return self._added[character.name]
 
     def picture(self) -> np.ndarray:
-        """(pane, n pane, 3) uint8: everybody at the player's frame, all seen from the same side."""
+        """(pane, n pane, 3) uint8: everybody at the player's frame, all seen from the same side, on the page's own colour."""
         index = self.player.index
         turn, tilt, zoom = self.view.camera
+        background = tuple(self.view.background)
+        ink = (60, 60, 60) if sum(background) > 384 else (225, 225, 225)
         rotation = FACING if self.mode.value == SLIDERS else self.results[index].head_pose[:3, :3]
         for axis, degrees in ((0, tilt), (1, -turn)):
             rotation = rotation @ rotation_vector_matrix(np.radians(degrees) * np.eye(3)[axis])
@@ -170,8 +172,8 @@ class RetargetingStudy:
         for face, shape, title in self.faces(index):
             if face is self._self:
                 face, shape = self._with_insides(shape)
-            pane = portrait(face, shape, self.pane, rotation, rays=1, zoom=zoom)
-            panes.append(cv2.putText(pane, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (60, 60, 60), 1, cv2.LINE_AA))
+            pane = portrait(face, shape, self.pane, rotation, rays=1, zoom=zoom, background=background)
+            panes.append(cv2.putText(pane, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA))
         return np.hstack(panes)
 
     def _with_insides(self, skin: np.ndarray) -> tuple[Character, np.ndarray]:

@@ -98,14 +98,17 @@ class StageExplorer:
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         charts = [chart.widget for chart, _ in self.charts] + ([self.camera.widget] if self.camera else [])
         # Heads beside sliders, player and charts below: on a laptop all of it is in sight at once. Where a list of files takes
-        # its share, the heads become a little smaller before the sliders go below them.
+        # its share, the heads become a little smaller before the sliders go below them. More than two heads leave no room
+        # beside them: their sliders stand beside the charts.
         wide = self.view.pane[0] * len(self.panes)
         self.view.widget.layout = widgets.Layout(flex=f"1 1 {int(0.78 * wide)}px", max_width=f"{wide + 4}px", min_width="0")
+        panel = [widgets.VBox([self.panel.widget, self.message])]
+        beside, below = (panel, charts) if len(self.panes) <= 2 else ([], charts + panel)
         parts = [
             self.verdict,
-            widgets.HBox([self.view.widget, widgets.VBox([self.panel.widget, self.message])], layout=row),
+            widgets.HBox([self.view.widget, *beside], layout=row),
             widgets.HBox([self.player.widget, restart], layout=row),
-            widgets.HBox(charts, layout=row),
+            widgets.HBox(below, layout=row),
         ]
         self.widget = widgets.VBox(parts)
         self.widget.add_class("adaptiveface-workbench")
