@@ -175,5 +175,5 @@ class FaceView:
         return surface(shown.vertices, self._triangles, heat=shown.heat if heat is None else heat)
 
     def close(self) -> None:
-        """Nothing further is sent; the last picture stays and can be turned."""
+        """Send nothing further; the last picture stays and can be turned."""
         self._closed = True

@@ -1,9 +1,9 @@
 """Inside a Jupyter kernel: on which thread callbacks run, what becomes of errors, tasks that end with their view.
 
-JupyterLab runs widget callbacks on a second thread ("subshell"), while OpenGL contexts belong to the thread that made
-them: drawn from elsewhere, pictures are black. Callbacks are therefore handed to the kernel's main loop, and of several
-that arrive while it is busy only the newest runs. Long work is an asyncio task of that loop, cut into short steps: no
-thread of ours exists.
+JupyterLab runs widget callbacks on a second thread ("subshell"), where they would change trackers and views in the middle of
+what a cell or a background task does with them. Callbacks are therefore handed to the kernel's main loop. Of several that
+arrive while the loop is busy, only the newest runs. Long work is an asyncio task of that loop, cut into short steps, so the
+views have no threads of their own.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ def running_loop() -> asyncio.AbstractEventLoop | None:
 
 
 def on_main_thread(function: Callable) -> Callable:
-    """Run a widget callback on the kernel's main thread, newest call wins; decorate in code that a cell calls."""
+    """Run a widget callback on the kernel's main thread; the newest call wins. Decorate in code that a cell calls."""
     loop, waiting, lock = running_loop(), [], threading.Lock()
 
     def run_newest() -> None:
-        """The newest of the calls that wait; the others are forgotten."""
+        """Run the newest of the calls that wait, and forget the others."""
         with lock:
             arguments, options = waiting.pop()
             waiting.clear()
@@ -54,7 +54,7 @@ def on_main_thread(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def wrapper(*arguments, **options):
-        """At once on the main thread, from any other as soon as that is free."""
+        """Run at once on the main thread; from any other thread, as soon as the main thread is free."""
         if loop is None or threading.current_thread() is threading.main_thread():
             return function(*arguments, **options)
         with lock:
@@ -118,7 +118,7 @@ class BackgroundTask:
 
 
 def _tell(task: asyncio.Task) -> None:
-    """An error that nobody waits for appears under the cell, and fails a test run of the notebook."""
+    """Show an error that nobody waits for under the cell, which also fails a test run of the notebook."""
     if not task.cancelled() and task.exception() is not None:
         from IPython import get_ipython
 

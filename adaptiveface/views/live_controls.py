@@ -165,7 +165,7 @@ class LiveControls:
         self.widget.add_class("adaptiveface-live-view")
 
     def show(self, scanning: bool, tracking: bool, running: bool) -> None:
-        """Only what can be used now."""
+        """Show and enable only what can be used now."""
         self.scan.layout.display = "flex" if scanning else "none"
         self.enough.disabled = not scanning
         for button in (self.relearn, self.freeze, self.reset, self.record, self.save):

@@ -1,4 +1,4 @@
-"""The pictures of the live view: input, tracked mesh, character, curves, bars. Each draws what it is given, at once."""
+"""The pictures of the live view: input, tracked mesh, character, curves, bars. Each draws at once what it is given."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ class MeshPane:
     def _open(self, owner, vertices: np.ndarray, title: str, limits, label: str, choices: bool) -> None:
         self.close()
         centre = vertices[owner.frontal].mean(axis=0)
-        self._view = FaceView(vertices, owner.triangles, (title,), limits, label, self._size, centre)
+        self._view = FaceView(vertices, owner.triangles, (title,), limits, label, self._size, centre, radius=150.0)
         self._actor = owner
         self.widget.children = [self._view.widget, *([self.heat] if choices else []), self.follow]
 
     def close(self) -> None:
-        """Free the renderer; the last picture stays."""
+        """Send nothing further; the last picture stays."""
         if self._view is not None:
             self._view.close()
             self._view = self._actor = None

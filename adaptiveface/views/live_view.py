@@ -24,7 +24,7 @@ from .kernel import BackgroundTask, on_main_thread, running_loop, strict
 from .live_controls import LiveControls, alert, coverage_bars, dropped_frames, figures, instruction
 from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
 
-#: At most so many pictures of the face, and of the curves, a second.
+#: The most pictures of the face, and of the curves, a second.
 PICTURES, CHARTS = 25.0, 4.0
 BUILD_STEPS = {
     "fuse": "merging the scan",
@@ -40,9 +40,9 @@ class LiveView:
 
     ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``character``: a
     built-in or own one that follows; ``detect``: MediaPipe even where the sensor brings features. ``widget`` is what to
-    display; :meth:`close` ends every thread. One view runs at a time: one that starts, e.g. because its cell is run once
-    more, stops the one before. Draws on the kernel's event loop, always the newest result; from code:
-    :meth:`until`, and the methods behind the buttons.
+    display; :meth:`close` ends every thread. One view runs at a time: a view that starts, for example because its cell is run
+    once more, stops the one before. The view draws on the kernel's event loop, always the newest result. From code, use
+    :meth:`until` and the methods behind the buttons.
     """
 
     _running: ClassVar[LiveView | None] = None
@@ -115,7 +115,7 @@ class LiveView:
             self.run = None
 
     def close(self) -> None:
-        """Stop, free the renderer, take the widgets away."""
+        """Stop, and take the widgets away."""
         self.stop()
         self.mesh.close()
         self.widget.close()
@@ -125,7 +125,7 @@ class LiveView:
         self.controls.panel.set(**values)
 
     def finish_scan(self) -> None:
-        """Enough of the neutral scan."""
+        """End the neutral scan now, and build the head from it."""
         if self.run is not None:
             self.run.finish_scan()
 
@@ -149,7 +149,7 @@ class LiveView:
             self.run.session.reset_correctives()
 
     def record(self, on: bool = True) -> None:
-        """Start or finish a recording in the folder that stands beside the button."""
+        """Start or finish a recording in the folder named beside the button."""
         if on and self._recorder is None and self.run is not None and self.run.sensor is not None:
             folder = self.controls.folder.value.strip() or time.strftime("recording-%Y%m%d-%H%M%S")
             try:
@@ -163,7 +163,7 @@ class LiveView:
             self._say(str(recorder.close()))
 
     def save_actor(self, path: str | PathLike | None = None) -> None:
-        """Write the head to a file, by default the one that stands beside the button."""
+        """Write the head to a file, by default the one named beside the button."""
         path = path or self.controls.file.value.strip() or "actor.npz"
         if self.run is None or self.run.actor is None:
             raise AdaptiveFaceError(f"{path}: there is no actor to save yet")
@@ -336,7 +336,7 @@ class LiveView:
 
     @contextmanager
     def _shown(self):
-        """Errors end in the panel, and stop what cannot go on; raised too where :func:`strict`."""
+        """Show errors in the panel, and stop what cannot go on; also raise them where :func:`strict`."""
         try:
             yield
         except Exception as error:

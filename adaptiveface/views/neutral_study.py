@@ -56,7 +56,7 @@ class _Study(ABC):
         """Bring the view's panes up to date with the controls; every study has its own."""
 
     def close(self) -> None:
-        """Free the renderer; the last picture stays."""
+        """Send nothing further; the last picture stays."""
         self.view.close()
 
     def _ipython_display_(self) -> None:

@@ -87,7 +87,7 @@ class CorrectiveView:
         self.values.update(np.pad(values, (0, self._most - len(values))))
 
     def close(self) -> None:
-        """Stop following and free the renderer; the last picture stays."""
+        """Stop following the workbench; the last picture stays."""
         self._task.stop()
         self.view.close()
 

@@ -51,7 +51,8 @@ class AblationView:
         self._eyes, self.note = GazeEstimator(session.actor), widgets.HTML()
         self.player = Player(len(self.frames), self.show)
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
-        self.widget = widgets.VBox([widgets.HBox([self.view.widget, self.note], layout=row), self.player.widget])
+        self.note.layout.max_width = "420px"
+        self.widget = widgets.VBox([widgets.HBox([widgets.VBox([self.view.widget, self.player.widget]), self.note], layout=row)])
         self.player.go_to(start) if start else self.show(0)
 
     def show(self, index: int) -> None:
@@ -68,7 +69,7 @@ class AblationView:
         self.note.value = f"<table>{''.join(rows)}</table>"
 
     def close(self) -> None:
-        """Stop the player and free the renderer; the last picture stays."""
+        """Stop the player; the last picture stays."""
         self.player.close()
         self.view.close()
 

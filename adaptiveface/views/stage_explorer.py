@@ -217,7 +217,7 @@ class StageExplorer:
             self.camera.show(frame, points, features)
 
     def close(self) -> None:
-        """Stop playback and background work, free the renderer, take the widgets away."""
+        """Stop playback and background work, and take the widgets away."""
         self.player.close()
         self.replay.close()
         self.view.close()
