@@ -96,13 +96,15 @@ def test_the_hand_is_not_learned_from():
     assert (covered > 0).mean() > 0.05 and covered[covered > 0].min() < clean[clean > 0].min() - 30
 
 
-def test_singular_values_grow_with_the_expressions(default):
-    after_laugh, after_rage = len(LAUGH) - 1, len(LAUGH) + len(RAGE) - 1
+def test_singular_values_grow_with_the_expressions(session, default):
+    in_laugh, after_laugh, after_rage = len(LAUGH) // 2, len(LAUGH) - 1, len(LAUGH) + len(RAGE) - 1
     seen = [
         pca_study.singular_values(default.model_after(k), pca_study.learned_samples(default, k))
-        for k in (after_laugh, after_rage)
+        for k in (after_laugh, after_rage, in_laugh)
     ]
     assert seen[0][0] > 4 * seen[0][1] and seen[1][1] > 2 * seen[0][1]
+    chart = pca_study.CorrectiveView(session).values
+    assert max(values[0] for values in seen) < chart._high, "no bar is cut off"
     assert len(pca_study.singular_values(default.model_after(0), np.zeros((0, 3)))) == 0
 
 

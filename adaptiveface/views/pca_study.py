@@ -45,7 +45,7 @@ class CorrectiveView:
         )
         self.amount.add_class("adaptiveface-amount")
         self.values = BarChart(
-            [str(k + 1) for k in range(most)], (0, 0.6), "mm (rms of a vertex)", "singular values", size=(260, 260)
+            [str(k + 1) for k in range(most)], (0, 0.8), "mm (rms of a vertex)", "singular values", size=(260, 260)
         )
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         heads = widgets.VBox([self.view.widget, self.amount])

@@ -52,7 +52,9 @@ class AblationView:
         self.player = Player(len(self.frames), self.show)
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         self.note.layout.max_width = "420px"
-        self.widget = widgets.VBox([widgets.HBox([widgets.VBox([self.view.widget, self.player.widget]), self.note], layout=row)])
+        self.widget = widgets.VBox(
+            [widgets.HBox([widgets.VBox([self.view.widget, self.player.widget]), self.note], layout=row)]
+        )
         self.player.go_to(start) if start else self.show(0)
 
     def show(self, index: int) -> None:
