@@ -84,7 +84,7 @@ def renamed(cls: AnyClass) -> AnyClass:
 
     @functools.wraps(make)
     def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
-        for old in names.keys() & kwargs.keys():
+        for old in names.keys() & kwargs.keys() if kwargs else ():
             warn(f"{cls.__name__}({old}=...)", names[old])
             kwargs[names[old]] = kwargs.pop(old)
         make(self, *args, **kwargs)

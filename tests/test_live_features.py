@@ -16,7 +16,7 @@ from adaptiveface.landmarks.kept_face import PATIENCE, KeptFace, VideoClock
 from adaptiveface.neutral.capture import capture_actor
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.expression import turned_away
-from adaptiveface.tracking.feature_confidence import uncovered, weigh_features
+from adaptiveface.tracking.feature_confidence import COVER_FROM, COVER_TO, uncovered, weigh_features
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import SampleState
 
@@ -207,6 +207,23 @@ def test_features_outside_the_picture_are_not_covered():
     camera = Camera(64, 48, 52.5, 52.5, 31.5, 23.5)
     points = np.array([[0.0, 0, 600], [5000.0, 0, 600], [0, -5000.0, 600]])
     np.testing.assert_array_equal(uncovered(np.full((48, 64), 100.0), camera, points), [0, 1, 1])
+
+
+def test_what_covers_a_feature_is_the_median_of_what_is_measured_about_it():
+    rng, camera = np.random.default_rng(3), Camera(64, 48, 52.5, 52.5, 31.5, 23.5)
+    depth = (rng.uniform(560, 640, (48, 64)) * (rng.uniform(size=(48, 64)) < 0.5)).astype(np.float32)
+    pixels = np.stack([rng.integers(-2, 66, 300), rng.integers(-2, 50, 300)], axis=1).astype(float)
+    points = camera.back_project(pixels, np.full(300, 600.0))
+    behind = []
+    for u, v in pixels.astype(int):
+        rows, columns = (np.clip(np.arange(c - 1, c + 2), 0, last) for c, last in ((v, 47), (u, 63)))
+        patch = depth[np.ix_(rows, columns)]
+        measured = np.sort(patch[patch > 0])
+        hit = len(measured) and 0 <= u < 64 and 0 <= v < 48
+        behind.append(600.0 - measured[len(measured) // 2] if hit else 0.0)
+    expected = 1.0 - np.clip((np.array(behind) - COVER_FROM) / (COVER_TO - COVER_FROM), 0.0, 1.0)
+    np.testing.assert_allclose(uncovered(depth, camera, points), expected, atol=1e-12)
+    assert 0.1 < (expected < 1.0).mean() < 0.9
 
 
 def test_coefficients_are_held_back_only_away_from_the_front():

@@ -18,7 +18,7 @@ from adaptiveface.registration.surface import depth_surface, occluded_share
 from adaptiveface.tracking.bounded import bounded_least_squares, sparse_least_squares
 from adaptiveface.tracking.detection import pose_from_features
 from adaptiveface.tracking.expression import BlendshapeFit, Seen
-from adaptiveface.tracking.feature_rows import feature_rows
+from adaptiveface.tracking.feature_rows import camera_rows, feature_rows, turns
 from adaptiveface.tracking.kalman import CoefficientFilter
 from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation, PrefactoredSystem, feature_term
 from adaptiveface.tracking.rigid import RigidTracker
@@ -249,9 +249,11 @@ def test_the_pose_is_solved_for_the_coefficients_that_the_filter_leaves(actor, l
     np.testing.assert_array_equal(asked[0], raw)
     np.testing.assert_array_equal(x, lag * raw)
 
+    seen = Seen(arguments[0], camera_rows(frame.features, CAMERA), normals)
+
     def left(pose):
         """How far one more update of the pose would move the head at x, mm."""
-        update = fit.solve(fit._assemble(Seen(*arguments[:3], normals), pose, x, x)[0], x)[1](x)
+        update = fit.solve(fit._assemble(seen, pose, x, x)[0], x)[1](x)
         return np.linalg.norm(update[:3]) * 100 + np.linalg.norm(update[3:])
 
     assert left(pose) < 0.25 * left(raw_pose)
@@ -290,6 +292,11 @@ def test_feature_rows_are_zero_at_the_truth_and_follow_the_projection(actor):
     in_camera = transform_points(pose, moved)
     expected = (CAMERA.project(in_camera) - frame.features.pixels) * in_camera[:, 2:]
     np.testing.assert_allclose(np.einsum("fij,fj->fi", rows.rows, moved) + rows.offsets, expected, atol=1e-6)
+
+
+def test_turns_are_cross_products():
+    levers, directions = np.random.default_rng(5).normal(size=(7, 3)), np.random.default_rng(6).normal(size=(7, 2, 3))
+    np.testing.assert_array_equal(turns(levers, directions), np.cross(levers[:, None], directions))
 
 
 # ---- Kalman ---------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from ..model.face_model import FaceModel
 from ..model.feature_set import FeatureSet
 from ..registration.step import apply_rigid_update
 from ..tracking.bounded import bounded_least_squares
-from ..tracking.expression import CROSS
+from ..tracking.feature_rows import turns
 from .features import ALONG
 
 #: Gauss-Newton rounds.
@@ -109,8 +109,7 @@ class BundleProblem:
         across[:, :, 2] = -shown
         across *= (np.sqrt(weight) * view.distance / moved[:, 2])[:, None, None]
         in_head = across @ pose[:3, :3]
-        turn = np.einsum("abc,fb,frc->fra", CROSS, moved - centre, across)
-        own = np.concatenate([turn, across, in_head @ self.expressions[seen]], axis=2)
+        own = np.concatenate([turns(moved - centre, across), across, in_head @ self.expressions[seen]], axis=2)
         bent = points[seen] - self.mean[seen]  # by identity, offset and expression
         value = np.sqrt(weight)[:, None] * error - (in_head @ bent[..., None])[..., 0]
         flat = 2 * len(seen), -1

@@ -23,8 +23,7 @@ from ..parameters import Parameters
 from ..registration.step import apply_rigid_update
 from ..tracking.bounded import bounded_least_squares
 from ..tracking.detection import pose_from_features
-from ..tracking.expression import CROSS
-from ..tracking.feature_rows import feature_rows
+from ..tracking.feature_rows import feature_rows, turns
 from .bundle import Bundle, View, solve_bundle
 from .capture import build_actor
 from .features import calibrated_features, constraints_on
@@ -205,7 +204,7 @@ def _linearise(
     in_camera = rows.rows @ pose[:3, :3].T
     moved = transform_points(pose, points)
     centre = moved.mean(axis=0)
-    turn = np.einsum("abc,fb,frc->fra", CROSS, moved - centre, in_camera)
+    turn = turns(moved - centre, in_camera)
     jacobian = np.concatenate([turn, in_camera, rows.rows @ basis[rows.index]], axis=2) / frame.camera.fx
     jacobian = jacobian.reshape(-1, jacobian.shape[2])
     # Linear in the coefficients: their values are solved for, the pose's change.

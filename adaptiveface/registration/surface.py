@@ -64,7 +64,8 @@ def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 
     u0, v0, u1, v1 : int
         The first pixel, and the first beyond.
     """
-    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    axes = np.ascontiguousarray(pixels.T)
+    low, high = axes.min(axis=1), axes.max(axis=1)
     if fixed:
         low = np.rint((low + high - fixed) / 2)
         high = low + fixed
@@ -102,18 +103,18 @@ def depth_surface(
     """
     u0, v0, u1, v1 = window
     z = np.ascontiguousarray(depth[v0:v1, u0:u1], np.float32)
-    measured = (z > 0).astype(np.float32)
-    far = np.where(z > 0, z, np.float32(1e6))
+    missing, far = z <= 0, z.copy()
+    np.putmask(far, missing, 1e6)
     span = cv2.dilate(z, np.ones((3, 3))) - cv2.erode(far, np.ones((3, 3)))
-    edge = (span > parameters.edge).astype(np.uint8)
-    clean = measured * (1 - edge)
+    clean = (~missing & (span <= parameters.edge)).astype(np.float32)
+    kept = z * clean
 
     def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
         return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
 
     def masked_mean(sigma: float) -> tuple[np.ndarray, np.ndarray]:
         weight = smooth(clean, sigma)
-        return smooth(z * clean, sigma) / np.maximum(weight, 1e-3), weight
+        return smooth(kept, sigma) / np.maximum(weight, 1e-3), weight
 
     fine, _ = masked_mean(parameters.smoothing)
     coarse, support = masked_mean(parameters.normal_smoothing)

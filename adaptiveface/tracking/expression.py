@@ -20,11 +20,8 @@ from ..registration.association import find_correspondences
 from ..registration.step import apply_rigid_update
 from ..registration.surface import DepthSurface
 from .bounded import BoundedSolver, bounded_least_squares
-from .feature_rows import feature_rows
+from .feature_rows import FeatureRows, camera_rows, turns
 from .resolve import SparseResolve
-
-#: (a x b)_i = CROSS_ijk a_j b_k
-CROSS = np.array([np.cross(axis, np.eye(3)).T for axis in np.eye(3)]).transpose(1, 0, 2)
 
 
 @dataclass(frozen=True)
@@ -105,11 +102,10 @@ class HeldPose:
 
 
 class Seen(NamedTuple):
-    """What one frame gives to the fit: its depth with the normals of ``depth_vertices``, its features, its camera."""
+    """What one frame gives to the fit: its depth with the normals of ``depth_vertices``, its features in the camera frame."""
 
     surface: DepthSurface | None
-    features: Features2D | None
-    camera: Camera
+    features: FeatureRows
     normals: np.ndarray | None
 
 
@@ -201,7 +197,7 @@ class BlendshapeFit:
         x : (A,)
             The coefficients.
         """
-        previous, seen = x, Seen(surface, features, camera, normals)
+        previous, seen = x, Seen(surface, camera_rows(features, camera), normals)
         for number in range(self.parameters.iterations, 0, -1):
             equations, centre = self._assemble(seen, pose, x, previous)
             if held is not None:
@@ -222,14 +218,14 @@ class BlendshapeFit:
         centre = transform_points(pose, self._middle)
         if seen.surface is not None and seen.normals is not None:
             self._add_depth(equations, seen.surface, pose, x, seen.normals, centre, current)
-        rows = feature_rows(seen.features, seen.camera, pose)
+        rows = seen.features.at(pose)
         if len(rows.index):
-            points = self._f0[rows.index] + self._f[rows.index] @ x
+            basis = self._f[rows.index]
+            points = self._f0[rows.index] + basis @ x
             residual = np.einsum("fij,fj->fi", rows.rows, points) + rows.offsets
             in_camera = rows.rows @ pose[:3, :3].T
             lever = transform_points(pose, points) - centre
-            turn = np.einsum("abc,fb,frc->fra", CROSS, lever, in_camera)
-            jacobian = np.concatenate([turn, in_camera, rows.rows @ self._f[rows.index]], axis=2).reshape(-1, 6 + count)
+            jacobian = np.concatenate([turns(lever, in_camera), in_camera, rows.rows @ basis], axis=2).reshape(-1, 6 + count)
             self.add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
         stiff = p.ridge * (1.0 if seen.surface is None else p.profile_stiffness ** turned_away(pose, centre))
         ridge = np.concatenate([np.full(6, 1e-6), np.full(count, stiff + p.temporal)])

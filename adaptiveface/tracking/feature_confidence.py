@@ -10,6 +10,7 @@ import dataclasses
 
 import numpy as np
 
+from ..caches.compiled import compiled
 from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_REGIONS, RgbdFrame
 
@@ -24,17 +25,28 @@ def uncovered(depth: np.ndarray, camera: Camera, points: np.ndarray, radius: int
     The median of what is measured in the (2 ``radius`` + 1)^2 pixels about the point decides; where nothing is, or
     outside the picture, 1.
     """
-    step = np.arange(-radius, radius + 1)
-    pixels = np.rint(camera.project(points)).astype(int)
-    u = np.clip(pixels[:, 0, None, None] + step, 0, depth.shape[1] - 1)
-    v = np.clip(pixels[:, 1, None, None] + step[:, None], 0, depth.shape[0] - 1)
-    inside = (pixels >= 0).all(axis=1) & (pixels < [depth.shape[1], depth.shape[0]]).all(axis=1)
-    patch = np.sort(depth[v, u].reshape(len(points), -1), axis=1)
-    missing = (patch == 0).sum(axis=1)  # sorted to the front
-    middle = np.minimum(missing + (patch.shape[1] - missing) // 2, patch.shape[1] - 1)
-    measured = patch[np.arange(len(points)), middle]
-    behind = np.where(inside & (measured > 0), points[:, 2] - measured, 0.0)
+    behind = _behind(depth, np.rint(camera.project(points)).astype(int), points[:, 2], radius)
     return 1.0 - np.clip((behind - COVER_FROM) / (COVER_TO - COVER_FROM), 0.0, 1.0)
+
+
+@compiled
+def _behind(depth: np.ndarray, pixels: np.ndarray, z: np.ndarray, radius: int) -> np.ndarray:
+    """(n,) how far depths ``z`` (n,) lie behind the median of what is measured about ``pixels`` (n, 2), mm; else 0."""
+    height, width = depth.shape
+    patch, out = np.empty((2 * radius + 1) ** 2, depth.dtype), np.zeros(len(pixels))
+    for i in range(len(pixels)):
+        u, v, count = pixels[i, 0], pixels[i, 1], 0
+        if u < 0 or v < 0 or u >= width or v >= height:
+            continue
+        for row in range(v - radius, v + radius + 1):
+            for column in range(u - radius, u + radius + 1):
+                measured = depth[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]
+                if measured > 0:
+                    patch[count] = measured
+                    count += 1
+        if count:
+            out[i] = z[i] - np.sort(patch[:count])[count // 2]
+    return out
 
 
 def weigh_features(frame: RgbdFrame, points: np.ndarray) -> RgbdFrame:

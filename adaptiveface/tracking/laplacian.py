@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from ..caches.compiled import compiled
 from ..geometry.mesh import cotangent_laplacian
 from ..model.actor import Actor
 from ..registration.association import Correspondences
@@ -125,10 +126,10 @@ class LaplacianDeformation:
         """The Woodbury system of the features' rows: (A0 + H^T W H)^-1 = A0^-1 - A0^-1 H^T (W^-1 + H A0^-1 H^T)^-1 H A0^-1."""
         count = term.rows.shape[1]
         index, rows = np.repeat(term.index, count), term.rows.reshape(-1, 3)
-        matrix = self._compliance[np.ix_(index, index)] * (rows @ rows.T)
         if len(rows) == 0:
             return index, rows, None
-        matrix[np.diag_indices_from(matrix)] += 1.0 / np.maximum(term.weights.ravel(), 1e-12)
+        matrix = self._compliance.take(index, axis=0).take(index, axis=1) * (rows @ rows.T)
+        matrix.flat[:: len(rows) + 1] += 1.0 / np.maximum(term.weights.ravel(), 1e-12)
         return index, rows, cho_factor(matrix, overwrite_a=True, check_finite=False)
 
     def deform_to_features(self, term: FeatureTerm) -> np.ndarray:
@@ -201,7 +202,7 @@ class LaplacianDeformation:
     def _add_pull(self, field: np.ndarray, term: FeatureTerm, values: np.ndarray) -> None:
         """field += H^T W values, in place."""
         forces = np.einsum("fr,frd->fd", term.weights * values, term.rows)
-        np.add.at(field, self.corners[term.index], self.shares[term.index][:, :, None] * forces[:, None, :])
+        _pull(field, self.corners[term.index], self.shares[term.index], forces)
 
     def _apply(self, d: np.ndarray, strength: np.ndarray, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """The true system's matrix times a displacement (n, 3)."""
@@ -217,3 +218,12 @@ class LaplacianDeformation:
         at_rows = (rows * self._at_features(solved, index)).sum(axis=1)
         direction: np.ndarray = solved - self._spread(index, rows * cho_solve(factor, at_rows, check_finite=False)[:, None])
         return direction
+
+
+@compiled
+def _pull(field: np.ndarray, corners: np.ndarray, shares: np.ndarray, forces: np.ndarray) -> None:
+    """Add to a field (n, 3) in place what ``forces`` (f, 3) give to their ``corners`` (f, 3), by ``shares`` (f, 3)."""
+    for f in range(len(forces)):
+        for corner in range(3):
+            for k in range(3):
+                field[corners[f, corner], k] += shares[f, corner] * forces[f, k]

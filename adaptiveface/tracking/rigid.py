@@ -31,14 +31,11 @@ class RigidFit:
     ----------
     pose : (4, 4)
         Head frame to camera frame, mm.
-    correspondences : Correspondences
-        The matches at that pose.
     residual : float
-        Their mean distance, mm.
+        Mean distance of the matches at that pose, mm.
     """
 
     pose: np.ndarray
-    correspondences: Correspondences
     residual: float
 
 
@@ -94,7 +91,7 @@ class RigidTracker:
         iterates = icp(pose, associate, step, lambda matches: matches.count, p.min_matches, p.iterations, converged)
         found = last(until_near(iterates, p.max_residual) if printed else iterates)
         residual = float("inf") if found.starved else found.matches.mean_distance
-        return RigidFit(found.pose, found.matches, residual)
+        return RigidFit(found.pose, residual)
 
 
 def until_near(iterates: Iterator[Iterate[Correspondences]], distance: float) -> Iterator[Iterate[Correspondences]]:
