@@ -14,11 +14,11 @@ from scenes import coefficients, exact_actor, head_pose, posed_shape, render_fra
 
 from adaptiveface.cli import main
 from adaptiveface.errors import TrackingError
-from adaptiveface.geometry.frame import Features2D
+from adaptiveface.geometry.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
 from adaptiveface.geometry.mesh import surface_points
 from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import embedded_face_model
-from adaptiveface.neutral.choice import Judged, choose, doubts
+from adaptiveface.neutral.choice import WORDS, Judged, choose, costs, doubts, judge
 from adaptiveface.neutral.plausible import ImplausibleFaceError, SizeWatch, check_identity, face_size, likely_unit
 from adaptiveface.neutral.take import neutral_of
 from adaptiveface.pipeline import FrameReader, capture_from, track_source
@@ -170,6 +170,8 @@ CALM = Judged(5.0, 0.9, 0.1, (0.3, 0.5, 0.4))
 ASIDE, TALKING, SMILING = (
     dataclasses.replace(CALM, **change) for change in (dict(angle=60.0, seen=0.1), dict(mouth=1.5), dict(rest=(1.6, 0.5, 0.4)))
 )
+#: As most frames of a take may be: only the detector's scores tell.
+GRINNING = dataclasses.replace(CALM, expression=2.5)
 
 
 @pytest.mark.parametrize(
@@ -180,6 +182,8 @@ ASIDE, TALKING, SMILING = (
         ([ASIDE] * 12 + [CALM] * 18, range(12, 22), "hardly seen"),
         ([TALKING] * 12 + [CALM] * 18, range(12, 22), "with an open mouth in 10"),
         ([SMILING] * 5 + [CALM] * 20, range(5, 15), "moving in 5"),
+        ([GRINNING] * 40 + [CALM] * 10, range(40, 50), "smiling or the like in 10"),
+        ([GRINNING] * 30, range(10), "doubtful"),
         ([None] * 10 + [CALM] * 10, range(10, 20), "turned away"),
         ([TALKING] * 30, range(10), "doubtful"),
         ([ASIDE] * 30, range(10), "doubtful"),
@@ -202,6 +206,22 @@ def test_doubts_of_named_frames():
 def head(angle: float, jaw: float, index: int):
     actor = exact_actor()
     return render_frame(actor, posed_shape(actor, coefficients(actor, jawOpen=jaw)), head_pose((0.0, angle, 0.0)), index)
+
+
+def scored(frame: RgbdFrame, smile: float) -> RgbdFrame:
+    """The frame as a detector sees it that gives it such a score for smiling."""
+    face = DetectedFace(np.zeros((LANDMARKS, 3)), np.where(np.char.startswith(SCORE_NAMES, "mouthSmile"), smile, 0.0))
+    return dataclasses.replace(frame, features=dataclasses.replace(frame.features, face=face))
+
+
+def test_a_smile_is_told_by_the_detector():
+    model = embedded_face_model()
+    points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    calm = head(0.0, 0.0, 0)
+    costs_of = [costs([judge(frame, points)])[0] for frame in (calm, scored(calm, 0.1), scored(calm, 0.8))]
+    assert (
+        costs_of[0].max() < 1 and costs_of[1].max() < 1 <= costs_of[2].max() == costs_of[2][WORDS.index("smiling or the like")]
+    )
 
 
 class Take:

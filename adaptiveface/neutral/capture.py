@@ -16,6 +16,7 @@ from ..model.blendshapes import deformation_transfer
 from ..model.face_model import FaceModel, embedded_face_model
 from ..parameters import FitParameters, Parameters
 from .appearance import gather_appearance
+from .expression import without_expression
 from .features import FeatureConstraints, calibrated_features, calibrated_landmarks, constraints_on
 from .fit import IdentityFit, fit_identity
 from .fuse import FusedScan, Progress, fuse_frames, in_head_frame
@@ -31,7 +32,10 @@ HAIR_ROUNDS = 2
 
 @dataclass(frozen=True)
 class NeutralCapture:
-    """Every step's result: scan, fit, wrap and the 2D features' constraints, all in the actor's head frame; actor."""
+    """Every step's result: scan, fit, wrap and the 2D features' constraints, all in the actor's head frame; actor.
+
+    The fit and the wrap have the expression that the scan shows, the actor's neutral has none.
+    """
 
     scan: FusedScan
     fit: IdentityFit
@@ -100,26 +104,33 @@ def capture_neutral(
     scan = in_head_frame(scan, np.linalg.inv(fit.scan_from_head))
     wrap = shrink_wrap(scan, model, fit.vertices, parameters.shrink_wrap, hair)
     report("blendshapes", 0.0)
-    actor = build_actor(model, wrap.vertices, scan, fit.identity)
+    neutral = without_expression(model, fit.identity, fit.expression, wrap.vertices)
+    actor = build_actor(model, neutral, scan, fit.identity)
     actor = replace(actor, depth_valid=actor.depth_valid & ~hair)
     constraints = constraints_on(scan, model, wrap.vertices)
     places = calibrated_features(constraints, model, wrap.vertices, parameters.shrink_wrap.feature_shift)
     landmarks = calibrated_landmarks(scan, model, wrap.vertices)
     actor = replace(actor, feature_triangles=places[0], feature_weights=places[1], landmarks=landmarks)
     if constraints.trust < 1.0:  # detected, with errors of their own
-        actor = _looked_at(actor, frames, scan, parameters)
+        actor = _looked_at(actor, wrap.vertices, frames, scan, parameters)
     report("blendshapes", 1.0)
     return NeutralCapture(scan, fit, wrap, constraints, actor)
 
 
-def _looked_at(actor: Actor, frames: Sequence[RgbdFrame], scan: FusedScan, parameters: Parameters) -> Actor:
-    """The actor with how the neutral looks in the frames of the scan, which are read again: their colour was not kept."""
+def _looked_at(
+    actor: Actor, scanned: np.ndarray, frames: Sequence[RgbdFrame], scan: FusedScan, parameters: Parameters
+) -> Actor:
+    """The actor with how its skin looks in the frames of the scan, which are read again: their colour was not kept.
+
+    ``scanned`` (V, 3): the head as these frames show it, with its expression.
+    """
 
     def views() -> Iterator[tuple[RgbdFrame, np.ndarray]]:
         return ((frames[number], pose) for number, pose in zip(scan.frames, scan.poses, strict=True))
 
-    appearance = gather_appearance(actor, views(), parameters.refinement)
-    return replace(actor, appearance=appearance, skin=gather_skin(actor, views(), parameters.skin))
+    seen = replace(actor, neutral=scanned)
+    appearance = gather_appearance(seen, views(), parameters.refinement)
+    return replace(actor, appearance=appearance, skin=gather_skin(seen, views(), parameters.skin))
 
 
 def fit_to_skin(scan: FusedScan, model: FaceModel, parameters: FitParameters) -> tuple[FusedScan, IdentityFit, np.ndarray]:

@@ -1,8 +1,9 @@
 """Which frames show the neutral face: seen from the front, with a closed mouth, and looking as most others do.
 
-People start a recording while they still turn to the camera or talk. Frames are judged by their features alone, against the
+People start a recording while they still turn to the camera, talk or smile. Frames are judged by their features, against the
 model's neutral face seen under the same pose (:mod:`~adaptiveface.neutral.face_quality`); what differs from person to person
-(how wide a mouth is, how open eyes are) against the median of the same take.
+(how wide a mouth is, how open eyes are) against the median of the same take. What is an expression from the first frame on is
+told by the detector's scores (:mod:`~adaptiveface.neutral.expression`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points
 from ..tracking.detection import pose_from_features
+from .expression import expressiveness
 from .face_quality import expression
 
 #: Degrees between the face's direction and the camera: seen from the front, and from too far aside.
@@ -30,18 +32,19 @@ ENOUGH = 0.8
 #: Frames with a face among which the neutral is sought where the leading ones do not show it.
 LOOK = 150
 #: What is wrong with a frame, in the words of a note.
-WORDS = ("turned away", "hardly seen", "with an open mouth", "moving")
+WORDS = ("turned away", "hardly seen", "with an open mouth", "moving", "smiling or the like")
 
 
 @dataclass(frozen=True)
 class Judged:
     """One frame: ``angle`` degrees from the front; ``seen`` 0..1; ``mouth``: opening, in its tolerance; ``rest``: (width,
-    eyes, brows), likewise."""
+    eyes, brows), likewise; ``expression``: what the detector's scores tell of one, as a share of what is none."""
 
     angle: float
     seen: float
     mouth: float
     rest: tuple[float, float, float]
+    expression: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -62,22 +65,24 @@ def judge(frame: RgbdFrame, points: np.ndarray) -> Judged | None:
     confidence = frame.seen.confidence
     seen = float(confidence.mean() / max(confidence.max(), 1e-9)) if confidence.max() > 0.05 else 0.0
     angle = float(np.degrees(np.arccos(np.clip(towards, -1, 1))))
-    return Judged(angle, seen, face.mouth_open, (face.mouth_width, face.eyes, face.brows))
+    told = expressiveness(frame.seen.face)
+    return Judged(angle, seen, face.mouth_open, (face.mouth_width, face.eyes, face.brows), told)
 
 
 def costs(judged: Sequence[Judged | None]) -> np.ndarray:
-    """(F, 4) what speaks against each frame, in the order of ``WORDS``: calm below 1."""
+    """(F, 5) what speaks against each frame, in the order of ``WORDS``: calm below 1."""
     out = np.full((len(judged), len(WORDS)), 9.0)
     faces = [(k, face) for k, face in enumerate(judged) if face is not None]
     if not faces:
         return out
     known = [k for k, _ in faces]
-    angle, seen, mouth = (np.array([getattr(face, name) for _, face in faces]) for name in ("angle", "seen", "mouth"))
+    names = "angle", "seen", "mouth", "expression"
+    angle, seen, mouth, told = (np.array([getattr(face, name) for _, face in faces]) for name in names)
     rest = np.array([face.rest for _, face in faces])
-    quiet = (angle < ASIDE) & (mouth < OPEN)
+    quiet = (angle < ASIDE) & (mouth < OPEN) & (told < 1)
     usual = np.median(rest[quiet] if quiet.sum() >= 3 else rest, axis=0)
     unlike = (np.abs(rest - usual) / UNLIKE).max(axis=1)
-    out[known] = np.stack([angle / ASIDE, SEEN / np.maximum(seen, 1e-3), mouth / OPEN, unlike], axis=1)
+    out[known] = np.stack([angle / ASIDE, SEEN / np.maximum(seen, 1e-3), mouth / OPEN, unlike, told], axis=1)
     return out
 
 

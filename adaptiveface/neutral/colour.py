@@ -14,18 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import TrackingError
-from ..geometry.frame import SCORE_NAMES, DetectedFace, RgbdFrame
+from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import surface_points, transform_points
 from ..model.actor import Actor
 from ..model.face_model import FaceModel, embedded_face_model
 from ..model.feature_set import FeatureSet
 from ..parameters import Parameters
 from ..registration.step import apply_rigid_update
-from ..tracking.bounded import bounded_least_squares
 from ..tracking.detection import pose_from_features
 from ..tracking.feature_rows import feature_rows, turns
 from .bundle import Bundle, View, solve_bundle
 from .capture import build_actor
+from .expression import scored_coefficients
 from .features import calibrated_features, constraints_on
 from .fuse import FusedScan
 from .plausible import check_identity
@@ -150,17 +150,6 @@ def solve_frames(frames: Sequence[RgbdFrame], model: FaceModel, modes: int) -> B
     if not views:
         raise TrackingError(f"no face found in any of {len(frames)} frames")
     return solve_bundle(model, landmarks, views, np.array(poses), modes)
-
-
-def scored_coefficients(face: DetectedFace, model: FaceModel) -> np.ndarray:
-    """(A,) coefficients of the generic expressions that come closest to the detector's scores; zeros without scores."""
-    if face.scores is None:
-        return np.zeros(len(model.generic_weights))
-    score = dict(zip(SCORE_NAMES, face.scores, strict=True))
-    wanted = np.array([score.get(name, 0.0) for name in model.expression_names])
-    gram = model.generic_weights @ model.generic_weights.T + 0.1 * np.eye(len(model.generic_weights))
-    bounds = np.zeros(len(gram)), np.ones(len(gram))
-    return bounded_least_squares(gram, model.generic_weights @ wanted, *bounds)
 
 
 def fit_identity_to_features(

@@ -1,7 +1,8 @@
 """Section 3, second step: rigid pose and identity coefficients that bring the statistical model onto the merged scan.
 
 The energy is a negative log posterior (Blanz & Vetter 1999): point-to-plane distances to the scan and point-to-ray
-distances to the 2D features, each over its expected deviation, plus the Gaussian prior of the coefficients.
+distances to the 2D features, each over its expected deviation, plus the Gaussian prior of the coefficients. Where the detector
+sees an expression, coefficients of the generic expressions are unknowns as well (:mod:`~adaptiveface.neutral.expression`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from ..errors import TrackingError
 from ..geometry.mesh import rotation_vector_matrix, surface_points, transform_points, vertex_areas, vertex_normals
 from ..model.face_model import FaceModel
 from ..parameters import FitParameters
+from .expression import ExpressionPrior
 from .features import Evidence, constraints_on, neutral_evidence
 from .fuse import FusedScan
 
@@ -32,8 +34,10 @@ class IdentityFit:
         Coefficients, standard deviations.
     scan_from_head : (4, 4)
         Head frame of the model to the frame of the scan, mm.
+    expression : (A,)
+        Coefficients of the generic expressions that the scan shows; zeros for a neutral face.
     vertices : (V, 3)
-        The fitted head, head frame, mm.
+        The fitted head as the scan shows it, in the head frame, mm: with its expression.
     residual : float
         Median point-to-plane distance to the scan, mm.
     matched : (V,) bool
@@ -45,6 +49,7 @@ class IdentityFit:
     """
 
     identity: np.ndarray
+    expression: np.ndarray
     scan_from_head: np.ndarray
     vertices: np.ndarray
     residual: float
@@ -86,11 +91,25 @@ class ScanSearch:
         return ScanCorrespondences(numbers[keep], points[keep], planes[keep], along[keep])
 
 
+@dataclass(frozen=True)
+class _Head:
+    """What a round knows: pose (4, 4) head to scan; identity (M,); expression (A,)."""
+
+    pose: np.ndarray
+    identity: np.ndarray
+    expression: np.ndarray
+
+    def shape(self, model: FaceModel, prior: ExpressionPrior | None) -> np.ndarray:
+        """(V, 3) mm, head frame."""
+        neutral = model.neutral(self.identity)
+        return neutral if prior is None else neutral + np.tensordot(self.expression, prior.shapes, axes=1)
+
+
 def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = DEFAULTS) -> IdentityFit:
     """Solve for the global rigid transformation and the identity coefficients (section 3).
 
     Each round finds the closest points and makes one Gauss-Newton step on all unknowns. The first rounds solve for the pose
-    alone, later ones for a growing number of modes.
+    (and the expression, if there is one), later ones for a growing number of modes.
 
     Parameters
     ----------
@@ -113,34 +132,35 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     """
     search = ScanSearch(scan)
     modes = min(parameters.modes, len(model.identity_modes))
-    identity, pose = np.zeros(modes), np.eye(4)
+    prior = ExpressionPrior.of(scan, model) if parameters.expression else None
+    head = _Head(np.eye(4), np.zeros(modes), np.zeros(len(model.generic_weights)) if prior is None else prior.mean)
     area = vertex_areas(model.mean, model.triangles)
     history, reach = [], parameters.max_correspondence_distance
     found = evidence = None
     for iteration in range(parameters.iterations):
         used = _modes_now(iteration, modes)
-        vertices, normals = _posed(model, identity, pose)
+        vertices, normals = _posed(model, head, prior)
         found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
         if len(found.vertices) < _MIN_CORRESPONDENCES:
             raise TrackingError(
                 f"the face model meets the neutral scan in {len(found.vertices)} points only: the scan does not show a "
                 "face where the 2D features see one"
             )
-        evidence = neutral_evidence(scan, model, vertices, pose[:3, :3], parameters.contour)
+        evidence = neutral_evidence(scan, model, vertices, head.pose[:3, :3], parameters.contour)
         history.append(float(np.median(np.abs(found.distances))))
-        step, change = _step(model, identity, pose, used, found, evidence, area, parameters)
-        pose, identity = step @ pose, identity + change
+        head = _step(model, head, prior, used, found, evidence, area, parameters)
         reach = float(np.clip(6 * 1.4826 * history[-1], 4.0, parameters.max_correspondence_distance))
-    vertices, normals = _posed(model, identity, pose)
+    vertices, normals = _posed(model, head, prior)
     found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
     matched = np.zeros(len(vertices), bool)
     matched[found.vertices] = True
     constraints = constraints_on(scan, model, vertices)
     rms = constraints.rms(surface_points(vertices, model.feature_triangles, model.feature_weights))
     return IdentityFit(
-        identity,
-        pose,
-        model.neutral(identity),
+        head.identity,
+        head.expression,
+        head.pose,
+        head.shape(model, prior),
         float(np.median(np.abs(found.distances))),
         matched,
         np.where(constraints.seen, rms, np.nan),
@@ -153,24 +173,24 @@ def _modes_now(iteration: int, modes: int) -> int:
     return min(modes, max(0, 3 * (iteration - 3)))
 
 
-def _posed(model: FaceModel, identity: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    vertices = transform_points(pose, model.neutral(identity))
+def _posed(model: FaceModel, head: _Head, prior: ExpressionPrior | None) -> tuple[np.ndarray, np.ndarray]:
+    vertices = transform_points(head.pose, head.shape(model, prior))
     return vertices, vertex_normals(vertices, model.triangles)
 
 
 def _step(
     model: FaceModel,
-    identity: np.ndarray,
-    pose: np.ndarray,
+    head: _Head,
+    prior: ExpressionPrior | None,
     used: int,
     found: ScanCorrespondences,
     evidence: Evidence,
     area: np.ndarray,
     parameters: FitParameters,
-) -> tuple[np.ndarray, np.ndarray]:
-    """One Gauss-Newton step: (4, 4) motion about the head's centre, (M,) change of the coefficients."""
-    modes = len(identity)
-    vertices = transform_points(pose, model.neutral(identity))
+) -> _Head:
+    """One Gauss-Newton step: the pose turns about the head's centre, ``used`` modes and the expression change."""
+    identity, pose = head.identity, head.pose
+    vertices = transform_points(pose, head.shape(model, prior))
     centre = vertices[found.vertices].mean(axis=0)
     # Point to plane, with Tukey's weights and the vertices' areas (their density must not decide).
     scale = max(3 * 1.4826 * np.median(np.abs(found.distances)), 1.0)
@@ -179,27 +199,33 @@ def _step(
     rigid = np.concatenate([np.cross(vertices[found.vertices] - centre, found.normals), found.normals], axis=1)
     # n . (R m) = (R^T n) . m: the normals are turned instead of the modes.
     back = found.normals @ pose[:3, :3]
-    shape = sum(model.identity_modes[:used, found.vertices, d] * back[:, d] for d in range(3)).T
+    shapes = model.identity_modes[:used]
+    if prior is not None:
+        shapes = np.concatenate([shapes, prior.shapes])
+    shape = sum(shapes[:, found.vertices, d] * back[:, d] for d in range(3)).T
     rows = np.concatenate([rigid, shape], axis=1)
     lhs, rhs = rows.T @ (rows * weight[:, None]), -rows.T @ (weight * found.distances)
-    _add_features(lhs, rhs, model, vertices, pose[:3, :3], centre, evidence, parameters)
-    prior = np.arange(6, 6 + used)
-    lhs[prior, prior] += 1.0
-    rhs[prior] -= identity[:used]
+    _add_features(lhs, rhs, shapes, vertices, pose[:3, :3], centre, evidence, parameters)
+    diagonal = np.arange(6, 6 + used)
+    lhs[diagonal, diagonal] += 1.0
+    rhs[diagonal] -= identity[:used]
     lhs[np.arange(6), np.arange(6)] += 1e-9 * np.trace(lhs[:6, :6])
-    solution = np.linalg.solve(lhs, rhs)
+    if prior is None:
+        solution, expression = np.linalg.solve(lhs, rhs), head.expression
+    else:
+        solution, expression = prior.solve(lhs, rhs, head.expression)
     step = np.eye(4)
     step[:3, :3] = rotation_vector_matrix(solution[:3])
     step[:3, 3] = centre + solution[3:6] - step[:3, :3] @ centre
-    change = np.zeros(modes)
-    change[:used] = solution[6:]
-    return step, change
+    identity = identity.copy()
+    identity[:used] += solution[6:]
+    return _Head(step @ pose, identity, expression)
 
 
 def _add_features(
     lhs: np.ndarray,
     rhs: np.ndarray,
-    model: FaceModel,
+    shapes: np.ndarray,
     vertices: np.ndarray,
     rotation: np.ndarray,
     centre: np.ndarray,
@@ -209,7 +235,7 @@ def _add_features(
     """Point-to-ray rows of the 2D features, added to the normal equations in place."""
     triangles, weights, constraints = evidence
     points = surface_points(vertices, triangles, weights)
-    modes = model.identity_modes[: len(lhs) - 6, triangles] @ rotation.T
+    modes = shapes[:, triangles] @ rotation.T
     shape = np.einsum("fk,mfkj->fjm", weights, modes)
     x, y, z = (points - centre).T
     zero = np.zeros_like(x)

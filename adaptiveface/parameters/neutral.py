@@ -94,6 +94,12 @@ class FitParameters(Stage):
         section="3",
         paper=False,
     )
+    expression: bool = parameter(
+        True,
+        "a smile or another expression that the detector sees in the neutral frames is taken off",
+        section="3",
+        paper=False,
+    )
     max_correspondence_distance: float = parameter(
         20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1, high=200
     )
