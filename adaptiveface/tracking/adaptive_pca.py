@@ -70,11 +70,12 @@ def em_in_sample_space(gram: np.ndarray, coefficients: np.ndarray, steps: int) -
     With M = S Z, the E-step is Y = (Z^T G Z)^-1 Z^T G and the M-step Z = Y^T (Y Y^T)^-1: the same iterates as
     :func:`e_step` and :func:`m_step` (a test compares them).
     """
-    z = np.linalg.solve(coefficients @ coefficients.T, coefficients).T
+    y = coefficients
+    z = y.T @ np.linalg.inv(y @ y.T)
     for _ in range(steps - 1):
         products = z.T @ gram
-        y = np.linalg.solve(products @ z, products)
-        z = np.linalg.solve(y @ y.T, y).T
+        y = np.linalg.inv(products @ z) @ products
+        z = y.T @ np.linalg.inv(y @ y.T)
     return z
 
 
