@@ -381,6 +381,21 @@ def test_replay_equals_a_plain_tracker(session):
     assert replay.model_after(11).correctives.shape[1] >= replay.model_after(2).correctives.shape[1]
 
 
+@pytest.mark.parametrize("changes", [{}, {"blendshapes__A": 5}, {"adaptive_pca__K": 0}])
+def test_kept_results_are_the_trackers_in_less_than_half_the_memory(session, changes):
+    parameters = Parameters().set(**changes)
+    blind = dataclasses.replace(session.frames[3], features=None, depth=np.zeros_like(session.frames[3].depth))
+    frames = [*session.frames[:3], blind, *session.frames[4:6]]
+    tracker, results = FaceTracker(session.actor, parameters), views.Replay(frames, session.actor, parameters).run()
+    for result, frame in zip(results, frames, strict=True):
+        plain = tracker.track(frame)
+        for name in ("v1", "v2", "v3", "v4"):
+            assert np.array_equal(getattr(result, name), getattr(plain, name).astype(np.float32)), name
+        assert result.reason == plain.reason and np.array_equal(result.coefficients, plain.coefficients)
+        assert sum(rows.nbytes for _, rows in result._parts) < 0.5 * 4 * result.v1.nbytes
+    assert results[0].v2 is results[0].v2, "made once while it is on show"
+
+
 @pytest.mark.parametrize(
     "changes", [{"adaptive_pca__S": 4}, {"adaptive_pca__S": 3, "adaptive_pca__startup": "full-buffer"}, {}]
 )

@@ -1,6 +1,6 @@
 """The tracker before every frame of a performance, in a twentieth of the memory.
 
-Samples are kept once for all frames, and meshes in single precision, shared with the result of the frame before.
+Samples are kept once for all frames, and meshes in single precision: those of the last frame's result are not kept twice.
 """
 
 from __future__ import annotations
@@ -13,15 +13,21 @@ import numpy as np
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.base import Tracker
 from ..tracking.types import TrackedFrame
+from .kept import in_own_pages
 
-_MESHES = ("v1", "v4", "deformation")
+_NONE = np.zeros((0, 3))
 
 
 @dataclass
 class _Entry:
-    """A tracker without its sample buffer, which held the newest among the first ``seen`` of the run's samples ``rows``."""
+    """A tracker without its sample buffer, which held the newest among the first ``seen`` of the run's samples ``rows``.
+
+    ``v1``, ``v4``: its state's meshes, or the result that has them.
+    """
 
     tracker: Tracker
+    v1: np.ndarray | TrackedFrame
+    v4: np.ndarray | TrackedFrame
     rows: list[np.ndarray]
     seen: int
 
@@ -42,20 +48,24 @@ class History:
         self._rows: list[np.ndarray] = []
         self._next, self._model = 0, None
 
-    def keep(self, index: int, tracker: Tracker, last: TrackedFrame | None) -> None:
-        """Keep ``tracker`` as the one before frame ``index``; ``last``: the result of the frame before."""
-        kept = copy.copy(tracker)
-        kept.state = replace(kept.state, **{name: _single(getattr(kept.state, name), name, last) for name in _MESHES})
+    def keep(self, index: int, tracker: Tracker, last: tuple[TrackedFrame, TrackedFrame] | None) -> None:
+        """Keep ``tracker`` as the one before frame ``index``.
+
+        ``last``: what it made of the frame before, and as which result that is kept.
+        """
+        kept, state = copy.copy(tracker), tracker.state
+        meshes = [_mesh(getattr(state, name), name, last) for name in ("v1", "v4")]
+        kept.state = replace(state, v1=_NONE, v4=_NONE, deformation=in_own_pages(state.deformation.astype(np.float32)))
         model = tracker.model
         if model._next != self._next:  # at most one sample per frame
-            self._rows.append(model._samples[self._next].copy())
+            self._rows.append(in_own_pages(model._samples[self._next]))
             self._next = model._next
             self._model = None
         if self._model is None:
             self._model = copy.copy(model)
             self._model._samples = self._model._correctives = None
         kept.model = self._model
-        self._entries[index] = _Entry(kept, self._rows, len(self._rows))
+        self._entries[index] = _Entry(kept, *meshes, self._rows, len(self._rows))
 
     def known(self, index: int) -> bool:
         """Whether there is a tracker before frame ``index``."""
@@ -72,17 +82,16 @@ class History:
             return None
         if self._given is None or self._given[0] is not entry:
             whole = entry.tracker.copy()
-            whole.state = replace(whole.state, **{name: getattr(whole.state, name).astype(float) for name in _MESHES})
+            v1, v4 = (getattr(one, name, one).astype(float) for name, one in (("v1", entry.v1), ("v4", entry.v4)))
+            whole.state = replace(whole.state, v1=v1, v4=v4, deformation=whole.state.deformation.astype(float))
             whole.model._samples = _buffer(entry, whole.model)
             self._given = entry, whole
         return self._given[1]
 
 
-def _single(mesh: np.ndarray, name: str, last: TrackedFrame | None) -> np.ndarray:
-    """A mesh in single precision, and that of the last result where it is the same."""
-    single = mesh.astype(np.float32)
-    known = getattr(last, name, None)
-    return known if known is not None and np.array_equal(known, single) else single
+def _mesh(mesh: np.ndarray, name: str, last: tuple[TrackedFrame, TrackedFrame] | None) -> np.ndarray | TrackedFrame:
+    """The kept result of the last frame where it has this mesh, else a copy in single precision."""
+    return last[1] if last is not None and getattr(last[0], name) is mesh else in_own_pages(mesh.astype(np.float32))
 
 
 def _buffer(entry: _Entry, model: AdaptiveModel) -> np.ndarray:

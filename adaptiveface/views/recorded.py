@@ -89,8 +89,7 @@ def _note(source: FrameSource, neutral: list[RgbdFrame], frames: list[RgbdFrame]
     what = f"all {len(source)} frames are tracked"
     if len(frames) < len(source):
         what = f"{len(frames)} of {len(source)} frames are tracked, {numbers([frame.index for frame in frames])}"
-        untouched = len(source) - len(frames) - len(skipped) - len({f.index for f in neutral} - {f.index for f in frames})
-        what += "; load_session(..., frames=300) takes more" if untouched > 0 else ""
+        what += "; load_session(..., frames=300) takes more" if frames[-1].index + 1 < len(source) else ""
     if skipped:
         what += f"; {len(skipped)} cannot be used, the first: {next(iter(skipped.values()))}"
     unseen = sum(not face_found(frame) for frame in frames)

@@ -18,21 +18,23 @@ from ..tracking.base import Tracker
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import SampleState, TrackedFrame
 from .history import History
+from .kept import Keeper
 from .kernel import BackgroundTask
+from .session import StoredFrames
 
 MakeTracker = Callable[[Actor, Parameters], Tracker]
 
 
-def give_memory_back() -> None:
-    """Return what tracking has freed to the system, where the C library keeps it (glibc: some 90 MB after 300 frames)."""
+def give_memory_back(frames: Sequence[RgbdFrame] = ()) -> None:
+    """Return to the system what tracking has freed, where the C library keeps it (glibc: some 90 MB after 300 frames).
+
+    So are the pages of ``frames`` that a file of the cache holds.
+    """
+    if isinstance(frames, StoredFrames):
+        frames.release()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if trim is not None:
         trim(0)
-
-
-def in_single_precision(result: TrackedFrame) -> TrackedFrame:
-    """A result with its meshes in half the memory: whole performances are kept, and 1e-5 mm are not seen."""
-    return replace(result, **{name: getattr(result, name).astype(np.float32) for name in ("v1", "v2", "v3", "v4")})
 
 
 class Replay:
@@ -55,7 +57,8 @@ class Replay:
         self.on_result = on_result or (lambda index: None)
         self.results: list[TrackedFrame | None] = [None] * len(self.frames)
         self.tracker = make_tracker(actor, self.parameters)
-        self._history = History(len(self.frames))
+        self._keeper, self._history = Keeper(actor), History(len(self.frames))
+        self._last: tuple[TrackedFrame, TrackedFrame] | None = None  # the last frame as it was tracked, and as it is kept
         self._made_with: list[Parameters | None] = [None] * len(self.frames)  # of every result
         self._previewer: tuple[Parameters, Tracker] | None = None  # what the last preview tracked with
         self._task = BackgroundTask()
@@ -68,7 +71,7 @@ class Replay:
         self._restart(self.parameters)
         while self.done < len(self.frames):
             self._advance()
-        give_memory_back()
+        give_memory_back(self.frames)
         return self.results
 
     def start(self) -> None:
@@ -122,7 +125,7 @@ class Replay:
         return tracker.track(self.frames[index])
 
     def _keep(self, index: int, result: TrackedFrame) -> None:
-        self.results[index], self._made_with[index] = in_single_precision(result), self.parameters
+        self.results[index], self._made_with[index] = self._keeper.keep(result), self.parameters
 
     def preview(self, parameters: Parameters, index: int) -> TrackedFrame:
         """Frame ``index`` with other parameters, from where the previous frame left the head.
@@ -152,14 +155,16 @@ class Replay:
         return model
 
     def _restart(self, parameters: Parameters) -> None:
-        self.parameters, self.done = parameters, 0
+        self.parameters, self.done, self._last = parameters, 0, None
         self.tracker = self.make_tracker(self.actor, parameters)
         self._history.start_over()
 
     def _advance(self) -> None:
         index = self.done
-        self._history.keep(index, self.tracker, self.results[index - 1] if index else None)
-        self._keep(index, self.tracker.track(self.frames[index]))
+        self._history.keep(index, self.tracker, self._last)
+        result = self.tracker.track(self.frames[index])
+        self._keep(index, result)
+        self._last = result, self.results[index]
         self.done += 1
         self.on_result(index)
 
@@ -170,7 +175,7 @@ class Replay:
         while self.done < len(self.frames):
             self._advance()
             await asyncio.sleep(0.002)
-        give_memory_back()
+        give_memory_back(self.frames)
 
     def model_after(self, index: int) -> AdaptiveModel:
         """The adaptive model once frame ``index`` was learned (read it, do not let it learn)."""

@@ -19,6 +19,7 @@ import numpy as np
 from ..caches import cache_folder
 from ..errors import AdaptiveFaceError, FileFormatError
 from ..evaluation import GroundTruth, TruthFrame, neutral_alignment
+from ..files.mapped import release
 from ..files.npz import Field, load_checked, write_npz
 from ..geometry.camera import Camera
 from ..geometry.frame import Features2D, RgbdFrame
@@ -179,7 +180,7 @@ def _recorded(
     take = read_take(opened, neutral_frames, count, first)
     print(take.note)
     camera = take.frames[0].camera
-    only = dict(colour_only=known.colour_only, guessed_camera=known.guessed_camera)
+    only = dict(colour_only=known.colour_only, guessed_camera=known.guessed_camera, has_features=not known.colour_only)
     session = Session(opened.name, camera, take.neutral, take.frames, fps=known.fps, **only)
     if session.colour_only and actor is None:
         _ = session.actor  # the frames' focal length comes with it
@@ -324,6 +325,11 @@ class StoredFrames(Sequence[RgbdFrame]):
         features = Features2D(np.where((confidence <= 0)[:, None], np.nan, data["pixels"][i]), confidence)
         depth = data["depth"][i].astype(np.float32) * np.float32(data["depth_unit"])
         return RgbdFrame(depth, self._camera, colour, i, i / 30.0, features)
+
+    def release(self) -> None:
+        """Give back the memory of what was read of the cache's file; it is read again when it is needed."""
+        for name in _MAPPED:
+            release(self._data[name])
 
     def __add__(self, other: Sequence[RgbdFrame]) -> list[RgbdFrame]:
         return [*self, *other]

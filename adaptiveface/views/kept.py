@@ -1,0 +1,95 @@
+"""Results of a whole performance in little memory: their meshes are put together when somebody looks at them."""
+
+from __future__ import annotations
+
+import mmap
+import sys
+from dataclasses import fields
+
+import numpy as np
+
+from ..model.actor import Actor
+from ..tracking.types import TrackedFrame
+
+MESHES = ("v1", "v2", "v3", "v4")
+#: How many frames' meshes are held ready: the one on show, and what a preview needs beside it.
+READY = 3
+
+
+def in_own_pages(array: np.ndarray) -> np.ndarray:
+    """A copy in pages that go back to the system when it is dropped: hundreds of these would leave holes in the heap."""
+    if array.nbytes == 0:
+        return array.copy()
+    private = {} if sys.platform == "win32" else {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS}
+    copy = np.frombuffer(mmap.mmap(-1, array.nbytes, **private), array.dtype).reshape(array.shape)
+    copy[...] = array
+    return copy
+
+
+class KeptFrame(TrackedFrame):
+    """A tracked frame as it was, with meshes (N, 3) in single precision that :class:`Keeper` makes on demand."""
+
+    def __init__(self, result: TrackedFrame, keeper: Keeper) -> None:
+        for entry in fields(TrackedFrame):
+            if entry.name not in MESHES:
+                object.__setattr__(self, entry.name, getattr(result, entry.name))
+        object.__setattr__(self, "_keeper", keeper)
+        object.__setattr__(self, "_parts", keeper.parts(result))
+
+    v1 = property(lambda self: self._keeper.meshes(self)[0])
+    v2 = property(lambda self: self._keeper.meshes(self)[1])
+    v3 = property(lambda self: self._keeper.meshes(self)[2])
+    v4 = property(lambda self: self._keeper.meshes(self)[3])
+
+
+class Keeper:
+    """What the frames of one actor have in common.
+
+    v1 is made of its coefficients where that gives the same numbers. Of the other meshes those vertices are kept that differ
+    from the mesh before: the frontal region, or all that an expression moves.
+    """
+
+    def __init__(self, actor: Actor) -> None:
+        self._neutral = actor.neutral
+        self._basis = actor.blendshapes.reshape(len(actor.blendshapes), -1).astype(np.float32)
+        moving = actor.frontal | (actor.blendshapes != 0).any(axis=(0, 2))
+        everywhere = np.ones(len(moving), bool)
+        self._rows = [
+            (np.flatnonzero(~some), np.flatnonzero(some)) for some in (moving & False, actor.frontal, moving, everywhere)
+        ]
+        self._ready: list[tuple[KeptFrame, tuple[np.ndarray, ...]]] = []
+
+    def keep(self, result: TrackedFrame) -> KeptFrame:
+        """A result to keep; the meshes of the last few can be had at no cost."""
+        return result if isinstance(result, KeptFrame) else KeptFrame(result, self)
+
+    def parts(self, result: TrackedFrame) -> list[tuple[int, np.ndarray]]:
+        """For every mesh which rows differ from the mesh before, and these rows, float32."""
+        before, out = self._shape(result.coefficients_initial), []
+        for name in MESHES:
+            mesh = getattr(result, name).astype(np.float32)
+            which = next(k for k, (same, _) in enumerate(self._rows) if np.array_equal(mesh[same], before[same]))
+            out.append((which, in_own_pages(mesh[self._rows[which][1]])))
+            before = mesh
+        return out
+
+    def meshes(self, kept: KeptFrame) -> tuple[np.ndarray, ...]:
+        """v1 to v4 of a frame, (N, 3) float32."""
+        for known, meshes in self._ready:
+            if known is kept:
+                return meshes
+        mesh, out = self._shape(kept.coefficients_initial), []
+        for which, rows in kept._parts:
+            if len(rows):
+                mesh = mesh.copy()
+                mesh[self._rows[which][1]] = rows
+            out.append(mesh)
+        for mesh in out:
+            mesh.flags.writeable = False  # equal ones are one
+        self._ready = [(kept, tuple(out)), *self._ready[: READY - 1]]
+        return self._ready[0][1]
+
+    def _shape(self, x: np.ndarray) -> np.ndarray:
+        """b0 + B x as the tracker computes it (:meth:`~adaptiveface.tracking.expression.BlendshapeFit.shape`)."""
+        moved = (x.astype(np.float32) @ self._basis[: len(x)]).reshape(-1, 3)
+        return (self._neutral + moved).astype(np.float32)
