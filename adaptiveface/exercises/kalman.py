@@ -92,7 +92,7 @@ MISTAKES = (
     Mistake("the covariance is not moved on: it is F P F^T + Q after the prediction", _by(spread=False)),
     Mistake("the process noise is missing: the filter becomes ever surer and stops listening", _by(noise=False)),
     Mistake("the measurement noise is missing: the filter believes every measurement", _by(blind=True)),
-    Mistake("process noise and measurement noise are exchanged", _swapped),
+    Mistake("process noise and measurement noise are swapped", _swapped),
     Mistake("the noises are squared: they are variances already", _by(square=True)),
     Mistake("the transition is transposed: a velocity moves the coefficient, not the other way round", _by(transpose=True)),
     Mistake("the sign of the correction is wrong: it goes away from the measurement", _by(innovate=-1.0)),

@@ -220,7 +220,7 @@ MISTAKES = (
     Mistake("the features' part is missing", _parts(_depth, lambda c: 0.0)),
     Mistake("the depth part is missing", _parts(lambda c: 0.0, _features)),
     Mistake(
-        "everything is twice too large: A and b are half of the energy's derivative",
+        "everything is twice as large as it should be: A and b are half of the energy's derivative",
         _parts(lambda c: 2 * _depth(c), lambda c: 2 * _features(c)),
     ),
 )

@@ -72,7 +72,7 @@ MISTAKES = (
     Mistake("the energy is that of the whole displacement: a wide smile would be an outlier", _by(left="nothing")),
     Mistake("low does not enter: samples that the anchors explain would fill the buffer", _by(lower=False)),
     Mistake("high does not enter: a hand before the face would be learned", _by(upper=False)),
-    Mistake("valid is turned round", lambda **c: (lambda v, e, ok: (v, e, not ok))(*project(**c))),
+    Mistake("valid is inverted", lambda **c: (lambda v, e, ok: (v, e, not ok))(*project(**c))),
     Mistake(
         "the rest came back instead of the projection", lambda **c: (c["displacement"] - project(**c)[0], *project(**c)[1:])
     ),

@@ -9,7 +9,7 @@ from .pairs import close
 
 TASK = (
     "rigidity(maps): (g, 3, 3) affine maps A of g graph nodes, with columns a1, a2, a3 -> (g,) the energy of each, (a1.a2)^2 "
-    "+ (a1.a3)^2 + (a2.a3)^2 + (1 - a1.a1)^2 + (1 - a2.a2)^2 + (1 - a3.a3)^2. It is zero for rotations (and reflections) only."
+    "+ (a1.a3)^2 + (a2.a3)^2 + (1 - a1.a1)^2 + (1 - a2.a2)^2 + (1 - a3.a3)^2. It is zero only for rotations (and reflections)."
 )
 
 

@@ -59,7 +59,7 @@ MISTAKES = (
     Mistake("the square root of w1 enters: that is right for rows, in the normal equations it is w1 itself", _by(data=np.sqrt)),
     Mistake("w1 does not enter", _by(data=lambda w: 1.0)),
     Mistake("w1 is missing on the right-hand side: both sides come from the same derivative", _by(right=lambda m, w, t: t)),
-    Mistake("w1 and w2 are exchanged", lambda laplacian, w1, w2, targets: solve_deformation(laplacian, w2, w1, targets)),
+    Mistake("w1 and w2 are swapped", lambda laplacian, w1, w2, targets: solve_deformation(laplacian, w2, w1, targets)),
     Mistake("the sign of the right-hand side is wrong", lambda **c: -solve_deformation(**c)),
     Mistake("the targets themselves came back: nothing was smoothed", lambda **c: c["targets"]),
     Mistake(
