@@ -66,7 +66,8 @@ class AblationView:
             gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead where unknown
             self.view.show(pane, getattr(run.results[index], variant.stage), heat, gaze=gaze)
             name = title if title == variant.name else f"{title} ({variant.name})"
-            rows.append(f"<tr><td style='padding-right:1em'>{name}</td><td>{np.nanmean(heat):.3f} mm</td></tr>")
+            mean = f"<td style='white-space:nowrap'>{np.nanmean(heat):.3f} mm</td>"
+            rows.append(f"<tr><td style='padding-right:1em'>{name}</td>{mean}</tr>")
         self.view.refresh()
         self.note.value = f"<table>{''.join(rows)}</table>"
 
