@@ -83,7 +83,7 @@ def run_all(page: Page, address: str) -> None:
     if page.locator(".adaptiveface-live-view").count():  # opens its sensor and scans a neutral face first
         tracks = "() => document.querySelector('.adaptiveface-live-figures')?.innerText.includes('latency')"
         page.wait_for_function(tracks, timeout=180_000)
-        page.wait_for_timeout(15_000)  # rates are of the last seconds: not of its start
+        page.wait_for_timeout(30_000)  # rates are of the last seconds: not of its start
     page.wait_for_timeout(3000)
 
 
