@@ -91,7 +91,12 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="adaptiveface", description="Facial performance capture with on-the-fly correctives.")
+    parser = _Parser(
+        prog="adaptiveface",
+        description="Capture facial performances with one depth camera: a neutral scan makes a personal rig, and the "
+        "tracking model learns the actor's own expressions while they perform.",
+        epilog="Start with: adaptiveface demo. Every command explains its options: adaptiveface track --help.",
+    )
     parser.add_argument("--version", action="version", version=f"adaptiveface {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for add in COMMANDS:

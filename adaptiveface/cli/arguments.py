@@ -9,9 +9,15 @@ from ..errors import ParameterError
 from ..export.arguments import add_field_of_view
 
 
+def add_command(commands, name: str, what: str, more: str, example: str = "") -> argparse.ArgumentParser:
+    """The parser of a command: ``what`` it does, in the list of commands and, with ``more``, on its own page."""
+    text = f"{what[0].upper()}{what[1:]}. {more}"
+    return commands.add_parser(name, help=what, description=text, epilog=f"Example: {example}" if example else None)
+
+
 def add_source(command: argparse.ArgumentParser) -> None:
     """``SOURCE``, numbered frames."""
-    text = "a recording folder, a video (colour only), or synthetic[:SEED[:NOISE]][@take.csv]"
+    text = "folder of a recording, a video (colour only), or synthetic[:SEED[:NOISE]][@take.csv]"
     command.add_argument("source", metavar="SOURCE", help=text)
     add_field_of_view(command)
     add_mirrored(command)
@@ -19,7 +25,9 @@ def add_source(command: argparse.ArgumentParser) -> None:
 
 def add_mirrored(command: argparse.ArgumentParser) -> None:
     """``--mirrored``, which :func:`source_name` reads."""
-    command.add_argument("--mirrored", action="store_true", help="flip pictures recorded as in a mirror (selfie videos)")
+    command.add_argument(
+        "--mirrored", action="store_true", help="flip the pictures: they were recorded as in a mirror, like selfie videos"
+    )
 
 
 def source_name(args: argparse.Namespace) -> str:
@@ -44,7 +52,12 @@ def opened(text: str, field_of_view: float | None = None):
 def add_settings(command: argparse.ArgumentParser) -> None:
     """``--set stage.name=value``, which :func:`parameters` reads."""
     command.add_argument(
-        "--set", nargs="+", action="extend", default=[], metavar="stage.name=value", help="e.g. laplacian.w1=0.2"
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="stage.name=value",
+        help="set parameters of the method, such as laplacian.w1=0.2 (docs: parameters)",
     )
 
 
@@ -73,7 +86,7 @@ def neutral_frames(text: str) -> int | range:
 
 def add_neutral_frames(command: argparse.ArgumentParser, default: int | None = 40) -> None:
     """``--neutral-frames N`` or ``FIRST:LAST``."""
-    text = "how many of the leading frames with a face, or which ones (default: %(default)s); a video needs none"
+    text = "frames that show the resting face: the first N, or those of a range (default: %(default)s); a video needs none"
     command.add_argument(
         "--neutral-frames",
         type=neutral_frames,

@@ -10,17 +10,39 @@ from ..export.arguments import add_export_arguments
 from ..files import check_folder, check_output
 from ..retargeting import BUILT_IN
 from ..runtime.interrupt import CtrlC
-from .arguments import add_neutral_frames, add_settings, add_source, opened, parameters, source_name, whole
+from .arguments import add_command, add_neutral_frames, add_settings, add_source, opened, parameters, source_name, whole
 
 
 def add_demo(commands) -> None:
     """``demo``."""
-    demo = commands.add_parser("demo", help="no hardware, no network: synthetic sensor, whole pipeline, report")
-    demo.add_argument("--out", type=Path, default=Path("adaptiveface-demo"), metavar="DIR", help="default: %(default)s")
-    demo.add_argument("--seed", type=whole(0, 10**9), default=0, help="which performer (default: %(default)s)")
-    demo.add_argument("--noise", default="structured-light", help="structured-light, truedepth or none")
-    demo.add_argument("--frames", type=whole(2, 10_000), default=120, help="frames of one of the two performances")
-    demo.add_argument("--character", metavar="NAME", help=f"also animate {', '.join(BUILT_IN)}, or your own character")
+    demo = add_command(
+        commands,
+        "demo",
+        "run the whole pipeline on a synthetic performer and write a report",
+        "It needs no camera, no network and no display. The folder then holds actor.npz, result.npz and report.html.",
+    )
+    demo.add_argument(
+        "--out", type=Path, default=Path("adaptiveface-demo"), metavar="DIR", help="folder to write to (default: %(default)s)"
+    )
+    demo.add_argument(
+        "--seed", type=whole(0, 10**9), default=0, metavar="N", help="number of the performer (default: %(default)s)"
+    )
+    demo.add_argument(
+        "--noise",
+        default="structured-light",
+        metavar="NAME",
+        help="noise of the depth camera: structured-light, truedepth or none (default: %(default)s)",
+    )
+    demo.add_argument(
+        "--frames",
+        type=whole(2, 10_000),
+        default=120,
+        metavar="N",
+        help="length of each of the two performances, frames (default: %(default)s)",
+    )
+    demo.add_argument(
+        "--character", metavar="NAME", help=f"also animate a character: {', '.join(BUILT_IN)}, or a file of your own"
+    )
     add_settings(demo)
     demo.set_defaults(run=run_demo)
 
@@ -84,9 +106,15 @@ def _check_demo(args: argparse.Namespace) -> None:
 
 def add_capture(commands) -> None:
     """``capture``."""
-    capture = commands.add_parser("capture", help="neutral scan -> personal model")
+    capture = add_command(
+        commands,
+        "capture",
+        "build a personal rig (actor.npz) from a neutral scan",
+        "The recording shows the resting face, seen from the front and while the head turns.",
+        "adaptiveface capture my-scan --out actor.npz --neutral-frames 100:140",
+    )
     add_source(capture)
-    capture.add_argument("--out", type=Path, required=True, metavar="actor.npz")
+    capture.add_argument("--out", type=Path, required=True, metavar="actor.npz", help="file to write")
     add_neutral_frames(capture, default=None)
     add_settings(capture)
     capture.set_defaults(run=run_capture)
@@ -108,18 +136,28 @@ def run_capture(args: argparse.Namespace) -> int:
 
 def add_track(commands) -> None:
     """``track``."""
-    track = commands.add_parser("track", help="track every frame of a recording")
+    track = add_command(
+        commands,
+        "track",
+        "track every frame of a recording (result.npz)",
+        "Without --actor, the rig is captured from the beginning of the recording, which has to show the resting face.",
+        "adaptiveface track my-take --actor actor.npz --out result.npz --report report",
+    )
     add_source(track)
-    track.add_argument("--out", type=Path, required=True, metavar="result.npz")
-    track.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
+    track.add_argument("--out", type=Path, required=True, metavar="result.npz", help="file to write")
+    track.add_argument(
+        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured from the leading frames)"
+    )
     add_neutral_frames(track)
     track.add_argument(
         "--irises",
         action="store_true",
-        help="where features come without irises, find these in the colour images, for the gaze",
+        help="measure the gaze: find the irises in the colour images of recordings that have features.csv without irises",
     )
-    track.add_argument("--keep-stages", action="store_true", help="also store v1, v2 and v3")
-    track.add_argument("--report", type=Path, metavar="DIR", help="write report.html there")
+    track.add_argument(
+        "--keep-stages", action="store_true", help="also store the meshes of the intermediate stages: v1, v2 and v3"
+    )
+    track.add_argument("--report", type=Path, metavar="DIR", help="also write report.html to this folder")
     add_settings(track)
     track.set_defaults(run=run_track)
 
@@ -182,7 +220,13 @@ def _report(result, source, actor, folder: Path, **options) -> None:
 
 def add_export(commands) -> None:
     """``export``."""
-    export = commands.add_parser("export", help="a tracked result as an animated character, curves or a video")
+    export = add_command(
+        commands,
+        "export",
+        "write a result as an animated character, curves or a video",
+        "Without --character, the actor's own mesh is written.",
+        "adaptiveface export result.npz --format glb --character hag",
+    )
     add_export_arguments(export)
     export.set_defaults(run=run_export)
 

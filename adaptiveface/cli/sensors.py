@@ -8,6 +8,7 @@ from pathlib import Path
 from ..errors import ParameterError
 from ..export.arguments import add_destinations, add_stream_arguments
 from .arguments import (
+    add_command,
     add_mirrored,
     add_neutral_frames,
     add_settings,
@@ -21,10 +22,18 @@ from .arguments import (
 
 def add_record(commands) -> None:
     """``record``."""
-    record = commands.add_parser("record", help="record a sensor into a folder that track and capture read")
+    record = add_command(
+        commands,
+        "record",
+        "record a sensor to a folder that capture and track read",
+        "Frames are written as the sensor gives them, without being tracked.",
+        "adaptiveface record realsense --out my-take --seconds 20",
+    )
     record.add_argument("source", metavar="SOURCE", help="a sensor (synthetic, realsense, ...) or a recording")
-    record.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
-    record.add_argument("--seconds", type=whole(1, 86_400), metavar="N", help="default: until Ctrl-C")
+    record.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder to write to")
+    record.add_argument(
+        "--seconds", type=whole(1, 86_400), metavar="N", help="stop after this many seconds (default: at Ctrl-C)"
+    )
     record.set_defaults(run=run_record)
 
 
@@ -37,9 +46,14 @@ def run_record(args: argparse.Namespace) -> int:
 
 def add_convert(commands) -> None:
     """``convert``."""
-    convert = commands.add_parser("convert", help="a vendor's recording into a folder that track and capture read")
-    convert.add_argument("file", type=Path, metavar="FILE", help="a recording of another program or SDK")
-    convert.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
+    convert = add_command(
+        commands,
+        "convert",
+        "convert a vendor's recording to a folder that capture and track read",
+        "The formats are .bag, .db3, .r3d, .oni and .mkv; docs/sensors.md says what each of them needs.",
+    )
+    convert.add_argument("file", type=Path, metavar="FILE", help="recording of another program or SDK")
+    convert.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder to write to")
     convert.set_defaults(run=run_convert)
 
 
@@ -52,7 +66,13 @@ def run_convert(args: argparse.Namespace) -> int:
 
 def add_stream(commands) -> None:
     """``stream``."""
-    stream = commands.add_parser("stream", help="track and send blendshapes and head motion while tracking")
+    stream = add_command(
+        commands,
+        "stream",
+        "track a recording or a phone and send every frame to an avatar",
+        "Blendshapes, head and eyes are sent over the network, by default to this machine.",
+        "adaptiveface stream my-take --actor actor.npz --vmc 127.0.0.1:39539",
+    )
     add_source(stream)
     add_stream_arguments(stream)
     add_neutral_frames(stream)
@@ -90,22 +110,38 @@ def run_stream(args: argparse.Namespace) -> int:
 
 def add_live(commands) -> None:
     """``live``."""
-    live = commands.add_parser("live", help="a sensor, the neutral scan, and the tracked face: in the notebook or here")
+    live = add_command(
+        commands,
+        "live",
+        "open a sensor, lead through the neutral scan, and track",
+        "The live view is a notebook in the browser. With --headless everything happens in this terminal.",
+        "adaptiveface live realsense --headless --actor actor.npz --out result.npz",
+    )
     live.add_argument(
         "sensor",
         nargs="?",
         metavar="SENSOR",
-        help="synthetic, realsense, ..., a recording, or livelink[:[HOST:]PORT]: an iPhone's curves",
+        help="synthetic, realsense, ..., a recording, or livelink[:[HOST:]PORT] for the curves of an iPhone",
     )
     add_mirrored(live)
-    live.add_argument("--headless", action="store_true", help="in the terminal; without SENSOR: which ones there are")
-    live.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help="of the notebooks")
-    live.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured first, by a guided scan")
-    live.add_argument("--save-actor", type=Path, metavar="FILE", help="where to keep the captured actor")
+    live.add_argument("--headless", action="store_true", help="track in this terminal; without SENSOR, list the sensors")
+    live.add_argument(
+        "--dir",
+        type=Path,
+        default=Path("adaptiveface-notebooks"),
+        metavar="DIR",
+        help="folder of the notebooks (default: %(default)s)",
+    )
+    live.add_argument(
+        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured first, by a guided scan)"
+    )
+    live.add_argument("--save-actor", type=Path, metavar="FILE", help="save the captured rig to this file")
     live.add_argument("--record", type=Path, metavar="DIR", help="also record every frame to a new folder")
-    live.add_argument("--out", type=Path, metavar="result.npz", help="the result, 3 MB a second; livelink: take.csv")
+    live.add_argument("--out", type=Path, metavar="result.npz", help="save the result, 3 MB a second; of livelink: take.csv")
     add_destinations(live)
-    live.add_argument("--seconds", type=whole(1, 86_400), metavar="N", help="of tracking; default: until Ctrl-C")
+    live.add_argument(
+        "--seconds", type=whole(1, 86_400), metavar="N", help="stop after tracking for this many seconds (default: at Ctrl-C)"
+    )
     add_settings(live)
     live.set_defaults(run=run_live)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import ParameterError
 from ..export.arguments import FORMATS
 from ..files import check_folder, check_output
-from .arguments import add_settings, parameters, whole
+from .arguments import add_command, add_settings, parameters, whole
 
 #: As in ``studies.FIGURES``, which the command line does not load for its help.
 PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
@@ -16,25 +16,48 @@ PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
 
 def add_batch(commands) -> None:
     """``batch``."""
-    batch = commands.add_parser("batch", help="capture, track and score many recordings; go on where it was stopped")
+    batch = add_command(
+        commands,
+        "batch",
+        "capture, track and score many recordings",
+        "Started again with the same options, it goes on where it was stopped.",
+        "adaptiveface batch my-takes --out results --sweep laplacian.w2=0.5,1.5,5",
+    )
     batch.add_argument("sources", metavar="FOLDER_OR_LIST", help="a folder of recordings, or a text file that lists them")
-    batch.add_argument("--out", type=Path, required=True, metavar="DIR", help="results, tables and index.html")
+    batch.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results, tables and index.html")
     batch.add_argument(
         "--sweep",
         nargs="+",
         action="extend",
         default=[],
         metavar="stage.name=v,v,...",
-        help="track with each value, e.g. laplacian.w2=0.5,1.5,5; several make every combination",
+        help="track with each of the values; several sweeps make every combination",
     )
-    batch.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from each recording")
-    batch.add_argument("--neutral-frames", type=whole(1, 99_999), default=40, metavar="N", help="default: %(default)s")
     batch.add_argument(
-        "--export", nargs="+", choices=list(FORMATS), default=[], metavar="FORMAT", help=f"also write {', '.join(FORMATS)}"
+        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured from each recording)"
     )
-    batch.add_argument("--no-report", action="store_true", help="leave out report.html of each recording")
-    batch.add_argument("--processes", type=whole(1, 1024), metavar="N", help="default: one per processor")
-    batch.add_argument("--cluster", metavar="tcp://HOST:PORT", help="a Dask scheduler, instead of processes here")
+    batch.add_argument(
+        "--neutral-frames",
+        type=whole(1, 99_999),
+        default=40,
+        metavar="N",
+        help="leading frames that show the resting face (default: %(default)s)",
+    )
+    batch.add_argument(
+        "--export",
+        nargs="+",
+        choices=list(FORMATS),
+        default=[],
+        metavar="FORMAT",
+        help=f"also export every result: {', '.join(FORMATS)}",
+    )
+    batch.add_argument("--no-report", action="store_true", help="write no report.html")
+    batch.add_argument(
+        "--processes", type=whole(1, 1024), metavar="N", help="recordings at the same time (default: one per processor)"
+    )
+    batch.add_argument(
+        "--cluster", metavar="tcp://HOST:PORT", help="work on the workers of this Dask scheduler instead of on this machine"
+    )
     add_settings(batch)
     batch.set_defaults(run=run_batch)
 
@@ -75,17 +98,27 @@ def run_batch(args: argparse.Namespace) -> int:
 
 def add_evaluate(commands) -> None:
     """``evaluate``."""
-    evaluate = commands.add_parser("evaluate", help="score results, or another tracker's meshes, against the truth")
+    evaluate = add_command(
+        commands,
+        "evaluate",
+        "score results, or the meshes of another tracker, against the truth",
+        "Several pairs give the mean over the performers, with its confidence interval.",
+        "adaptiveface evaluate result.npz my-take",
+    )
     evaluate.add_argument(
         "pairs",
         nargs="+",
         metavar="RESULT TRUTH",
-        help="result.npz or another tracker's .npz, and its truth: ground_truth.npz, the recording's "
-        "folder, or synthetic:SEED[:NOISE]; several pairs make a mean over performers",
+        help="result.npz or another tracker's .npz, and its truth: a ground_truth.npz, the folder of the recording, or "
+        "synthetic:SEED[:NOISE]",
     )
-    evaluate.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside each result")
-    evaluate.add_argument("--step", type=whole(1, 1000), default=1, metavar="N", help="score every N-th frame")
-    evaluate.add_argument("--csv", type=Path, metavar="FILE", help="also write one row per result")
+    evaluate.add_argument(
+        "--actor", type=Path, metavar="actor.npz", help="rig that was tracked with (default: the one beside each result)"
+    )
+    evaluate.add_argument(
+        "--step", type=whole(1, 1000), default=1, metavar="N", help="score every N-th frame (default: %(default)s)"
+    )
+    evaluate.add_argument("--csv", type=Path, metavar="FILE", help="also write a table with a row for each result")
     evaluate.set_defaults(run=run_evaluate)
 
 
@@ -100,14 +133,43 @@ def run_evaluate(args: argparse.Namespace) -> int:
 
 def add_paper(commands) -> None:
     """``paper``."""
-    paper = commands.add_parser("paper", help="draw the paper's figures again, with its parameters and with our defaults")
-    paper.add_argument(
-        "--figure", type=int, nargs="+", choices=PAPER_FIGURES, default=PAPER_FIGURES, metavar="N", help="default: %(default)s"
+    paper = add_command(
+        commands,
+        "paper",
+        "draw the paper's figures again from synthetic performances",
+        "Every figure is drawn with the parameters of the paper and with our defaults.",
     )
-    paper.add_argument("--out", type=Path, default=Path("paper-figures"), metavar="DIR", help="%(default)s: PNG, SVG and CSV")
-    paper.add_argument("--seed", type=whole(0, 999_999), default=1000, metavar="N", help="synthetic performer: %(default)s")
-    paper.add_argument("--noise", default="structured-light", metavar="NAME", help="its sensor's: %(default)s, truedepth, none")
-    paper.add_argument("--frames", type=whole(12, 100_000), metavar="N", help="of one performance; default: by figure")
+    paper.add_argument(
+        "--figure",
+        type=int,
+        nargs="+",
+        choices=PAPER_FIGURES,
+        default=PAPER_FIGURES,
+        metavar="N",
+        help="figures to draw (default: all)",
+    )
+    paper.add_argument(
+        "--out",
+        type=Path,
+        default=Path("paper-figures"),
+        metavar="DIR",
+        help="folder for PNG, SVG and CSV files (default: %(default)s)",
+    )
+    paper.add_argument(
+        "--seed", type=whole(0, 999_999), default=1000, metavar="N", help="number of the performer (default: %(default)s)"
+    )
+    paper.add_argument(
+        "--noise",
+        default="structured-light",
+        metavar="NAME",
+        help="noise of the depth camera: structured-light, truedepth or none (default: %(default)s)",
+    )
+    paper.add_argument(
+        "--frames",
+        type=whole(12, 100_000),
+        metavar="N",
+        help="length of a performance, frames (default: what each figure needs)",
+    )
     paper.set_defaults(run=run_paper)
 
 

@@ -5,19 +5,31 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .arguments import several, whole
+from .arguments import add_command, several, whole
 
 
 def add_bench(commands) -> None:
     """``bench``."""
-    bench = commands.add_parser("bench", help="the per-stage timing table, with its peers where they are installed")
+    bench = add_command(
+        commands,
+        "bench",
+        "time every stage, beside the paper's figures and other libraries",
+        'Libraries to compare with are timed where they are installed: pip install "adaptiveface[bench]".',
+    )
     bench.add_argument("--frames", type=whole(10, 10_000), metavar="N", help="synthetic frames to time")
     sizes = {"type": several(500, 27_000), "metavar": "N,N,N"}
-    bench.add_argument("--vertices", **sizes, help="instead: growth of every stage with the mesh, K, S and A, and its peers'")
-    bench.add_argument("--live", action="store_true", help="instead: latency and lost frames of the live chain")
-    bench.add_argument("--seconds", type=whole(1, 86_400), default=60, metavar="N", help="of --live: %(default)s")
-    bench.add_argument("--soak", type=whole(1, 10_000), metavar="MINUTES", help="instead: does the live chain grow?")
-    bench.add_argument("--json", action="store_true", help="of --live and --soak: one line of JSON")
+    bench.add_argument("--vertices", **sizes, help="measure instead how the times grow with the mesh, and with K, S and A")
+    bench.add_argument("--live", action="store_true", help="measure instead latency and lost frames of live tracking")
+    bench.add_argument(
+        "--seconds", type=whole(1, 86_400), default=60, metavar="N", help="length of --live (default: %(default)s)"
+    )
+    bench.add_argument(
+        "--soak",
+        type=whole(1, 10_000),
+        metavar="MINUTES",
+        help="measure instead whether memory and times grow in live tracking of this length",
+    )
+    bench.add_argument("--json", action="store_true", help="print the result of --live or --soak as one line of JSON")
     bench.set_defaults(run=run_bench)
 
 
@@ -30,10 +42,23 @@ def run_bench(args: argparse.Namespace) -> int:
 
 def add_lab(commands) -> None:
     """``lab``."""
-    lab = commands.add_parser("lab", help="JupyterLab on a copy of the notebooks, on this machine only")
-    lab.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help="%(default)s")
-    lab.add_argument("--port", type=whole(1, 65_535), metavar="N", help="default: 8888, or the next free one")
-    lab.add_argument("--no-browser", action="store_true", help="only print the address")
+    lab = add_command(
+        commands,
+        "lab",
+        "open JupyterLab on a copy of the notebooks",
+        "The server can be reached from this machine only. Notebooks that you changed stay as they are.",
+    )
+    lab.add_argument(
+        "--dir",
+        type=Path,
+        default=Path("adaptiveface-notebooks"),
+        metavar="DIR",
+        help="folder of the notebooks (default: %(default)s)",
+    )
+    lab.add_argument(
+        "--port", type=whole(1, 65_535), metavar="N", help="port of the server (default: 8888, or the next free one)"
+    )
+    lab.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
     lab.set_defaults(run=run_lab)
 
 
@@ -46,17 +71,22 @@ def run_lab(args: argparse.Namespace) -> int:
 
 def add_exercises(commands) -> None:
     """``exercises``."""
-    exercises = commands.add_parser("exercises", help="list the exercises; for teachers: student copy, grades of a class")
+    exercises = add_command(
+        commands,
+        "exercises",
+        "list the exercises, make a student copy, or grade a class",
+        "Without an option, the exercises are listed.",
+    )
     todo = exercises.add_mutually_exclusive_group()
     todo.add_argument("--student", type=Path, metavar="DIR", help="write the notebooks without solutions to a new folder")
     todo.add_argument("--grade", type=Path, metavar="FOLDER", help="grade submissions, one folder or file per student")
     todo.add_argument("--otter", type=Path, metavar="DIR", help="write test files for otter-grader")
-    todo.add_argument("--mistakes", action="store_true", help="print every planted mistake and what the grader says of it")
+    todo.add_argument("--mistakes", action="store_true", help="print each mistake that the grader knows, and what it says")
     exercises.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
-        help="of --grade: grades.csv, grades.json, gradescope/ (default: grades beside FOLDER)",
+        help="folder that --grade writes grades.csv, grades.json and gradescope/ to (default: grades beside FOLDER)",
     )
     exercises.set_defaults(run=run_exercises)
 
@@ -89,8 +119,13 @@ def run_exercises(args: argparse.Namespace) -> int:
 
 def add_doctor(commands) -> None:
     """``doctor``."""
-    doctor = commands.add_parser("doctor", help="what is installed, what works, and how to mend the rest")
-    doctor.add_argument("--json", action="store_true", help="for programs")
+    doctor = add_command(
+        commands,
+        "doctor",
+        "check the installation and say how to mend it",
+        "The exit status is 0 when everything that is needed works.",
+    )
+    doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
     doctor.set_defaults(run=run_doctor)
 
 

@@ -27,13 +27,13 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
         "result",
         type=Path,
         metavar="result.npz",
-        help="a tracked result, or a take of Live Link Face (.csv), which drives --character",
+        help="result to export, or a take of Live Link Face (.csv) that drives --character",
     )
     command.add_argument(
         "--character",
         default="actor",
         metavar="NAME",
-        help=f"actor (the tracked mesh itself), {', '.join(BUILT_IN)}, or a .glb, .vrm, .npz file or "
+        help=f"what performs: actor (the tracked mesh itself), {', '.join(BUILT_IN)}, a .glb, .vrm or .npz file, or a "
         "folder of OBJ files with ARKit names (default: %(default)s)",
     )
     command.add_argument(
@@ -42,13 +42,15 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
         help="unit of length of the character's file (default: metres for .glb, .gltf and .vrm; told from "
         "the size of the head for OBJ files)",
     )
-    command.add_argument("--format", choices=tuple(FORMATS), default="glb", help="default: %(default)s")
-    command.add_argument("--out", type=Path, metavar="FILE", help="default: beside the result; obj: a folder")
-    command.add_argument("--compact", action="store_true", help="glb: 16-bit coordinates, under half the size")
+    command.add_argument("--format", choices=tuple(FORMATS), default="glb", help="what to write (default: %(default)s)")
+    command.add_argument(
+        "--out", type=Path, metavar="FILE", help="file to write, or folder of obj (default: beside the result)"
+    )
+    command.add_argument("--compact", action="store_true", help="glb: store 16-bit coordinates, for less than half the size")
     command.add_argument(
         "--meshopt",
         action="store_true",
-        help="glb: compressed to an eighth by gltfpack, for three.js and others with a decoder",
+        help="glb: compress to an eighth of the size with gltfpack, for three.js and others that can decode it",
     )
     command.add_argument(
         "--no-insides", dest="insides", action="store_false", help="leave out the actor's eyes, teeth and tongue"
@@ -57,23 +59,32 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
         "--out-unit",
         choices=tuple(UNITS),
         default="m",
-        help="obj, mdd, pc2: unit of length, m for Blender, cm for Maya (default: %(default)s)",
+        help="obj, mdd, pc2: unit of length to write, m for Blender, cm for Maya (default: %(default)s)",
     )
     command.add_argument(
         "--coefficients",
         choices=DRIVERS,
-        help="arkit: ARKit's shapes with their halves, solved from v4; resolved: the tracked expressions, "
-        "solved from v4; initial: of the first fit (default: arkit where actor.npz is there)",
+        help="what drives the character: arkit, ARKit's shapes with their halves, solved from the final mesh; resolved, the "
+        "tracked expressions, solved from the final mesh; initial, those of the first fit (default: arkit where actor.npz "
+        "is there)",
     )
     _add_smoothing(command)
-    command.add_argument("--correctives", action="store_true", help="also carry v4 - v1 to a character of the actor's topology")
-    command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: the one beside the result, if any")
+    command.add_argument(
+        "--correctives",
+        action="store_true",
+        help="also carry what the blendshapes lack (v4 - v1) to a character with the actor's mesh",
+    )
+    command.add_argument(
+        "--actor", type=Path, metavar="actor.npz", help="rig that was tracked with (default: the one beside the result)"
+    )
     command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
     add_field_of_view(command)
     command.add_argument(
-        "--compare", action="store_true", help="mp4, gif: the character by initial and by re-solved coefficients (figure 8)"
+        "--compare",
+        action="store_true",
+        help="mp4, gif: show the character driven by the initial and by the re-solved coefficients (figure 8)",
     )
-    command.add_argument("--turntable", action="store_true", help="mp4, gif: the camera circles the character")
+    command.add_argument("--turntable", action="store_true", help="mp4, gif: let the camera circle the character")
 
 
 def add_field_of_view(command: argparse.ArgumentParser) -> None:
@@ -82,7 +93,7 @@ def add_field_of_view(command: argparse.ArgumentParser) -> None:
         "--fov",
         type=degrees,
         metavar="DEGREES",
-        help="of a video: what its camera saw across the longer side (default: by an intrinsic.json beside it, else 60)",
+        help="field of view of a video, across its longer side (default: from an intrinsic.json beside it, else 60)",
     )
 
 
@@ -103,32 +114,43 @@ def degrees(text: str) -> float:
 def add_stream_arguments(command: argparse.ArgumentParser) -> None:
     """Options of ``adaptiveface stream`` besides the source and the parameters."""
     add_destinations(command)
-    command.add_argument("--actor", type=Path, metavar="actor.npz", help="default: captured from the leading frames")
+    command.add_argument(
+        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured from the leading frames)"
+    )
     _add_smoothing(command)
-    command.add_argument("--fast", action="store_true", help="do not hold a recording back to its own speed")
+    command.add_argument(
+        "--fast", action="store_true", help="send as fast as possible instead of at the speed of the recording"
+    )
 
 
 def add_destinations(command: argparse.ArgumentParser) -> None:
     """Where to send; every HOST is this machine unless it is named."""
     command.add_argument(
-        "--vmc", nargs="?", const="", metavar="HOST:PORT", help="VMC messages to avatars (default: 127.0.0.1:39539)"
+        "--vmc", nargs="?", const="", metavar="HOST:PORT", help="send VMC messages to an avatar (default: 127.0.0.1:39539)"
     )
     command.add_argument(
-        "--osc", nargs="?", const="", metavar="HOST:PORT", help="plain OSC messages, and Face Cap's (default: 127.0.0.1:9000)"
+        "--osc",
+        nargs="?",
+        const="",
+        metavar="HOST:PORT",
+        help="send plain OSC messages and those of Face Cap (default: 127.0.0.1:9000)",
     )
     command.add_argument(
         "--livelink",
         nargs="?",
         const="",
         metavar="HOST:PORT",
-        help="as Live Link Face sends to Unreal (default: 127.0.0.1:11111)",
+        help="send what Live Link Face sends to Unreal (default: 127.0.0.1:11111)",
     )
     command.add_argument(
-        "--vmc-avatar", type=Path, metavar="FILE", help="the .vrm or .glb that receives VMC: its bones keep their places"
+        "--vmc-avatar",
+        type=Path,
+        metavar="FILE",
+        help=".vrm or .glb of the avatar that receives VMC, so that its bones keep their places",
     )
-    command.add_argument("--vmc-root", action="store_true", help="the avatar follows the head through the room")
+    command.add_argument("--vmc-root", action="store_true", help="let the avatar follow the head through the room")
 
 
 def _add_smoothing(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--smooth", action="store_true", help="filter the curves")
-    command.add_argument("--filter", choices=("one-euro", "kalman"), help="smooth with it (default: one-euro)")
+    command.add_argument("--smooth", action="store_true", help="smooth the curves")
+    command.add_argument("--filter", choices=("one-euro", "kalman"), help="how to smooth (default: one-euro)")
