@@ -1,4 +1,4 @@
-"""``index.html`` of a batch: what came out of each recording, its report, and the failures with their reasons."""
+"""Write ``index.html`` of a batch: the figures and the report of each recording, and the failures with their reasons."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a batch has to do: sources, the values that are swept, and one job for each combination."""
+"""The jobs of a batch: one for each combination of a source and swept values."""
 
 from __future__ import annotations
 

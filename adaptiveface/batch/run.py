@@ -1,4 +1,4 @@
-"""The batch itself: what is done already is left alone, the rest is spread over workers, tables are kept up to date."""
+"""Run a batch: skip the jobs that are done, spread the others over workers, and keep the tables up to date."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .workers import completed
 
 
 class Batch:
-    """Jobs and the folder in which they end.
+    """Jobs, and the folder for their results.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Batch:
             raise AdaptiveFaceError(f"{self.folder}: is a file, the name of a folder is expected")
 
     def run(self, client=None, processes: int | None = None, progress: bool = False) -> list[dict]:
-        """Do what is not done yet; returns one record per job, in the jobs' order.
+        """Do the jobs that are not done yet. Returns one record per job, in the order of the jobs.
 
         Parameters
         ----------
@@ -48,8 +48,8 @@ class Batch:
 
         Notes
         -----
-        A job that was finished with the same options and the same version is not done again. One that failed is. No job
-        ends the batch; its record says ``status`` "failed" and ``reason``.
+        A job that was finished with the same options and the same version is not done again; one that failed is. A failing
+        job does not end the batch: its record has the ``status`` "failed" and a ``reason``.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         records = {job.name: record for job in self.jobs if (record := finished(self.folder, job))}

@@ -1,4 +1,4 @@
-"""Tidy tables of a batch: a row per recording and a row per frame, as CSV and, where pyarrow is installed, as Parquet."""
+"""Write the tables of a batch, a row per recording and a row per frame, as CSV and, if pyarrow is installed, as Parquet."""
 
 from __future__ import annotations
 

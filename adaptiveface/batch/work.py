@@ -1,4 +1,4 @@
-"""One job of a batch: capture, track, score, export. What it leaves is in its folder, whole or not at all."""
+"""Do one job of a batch: capture, track, score and export. Its folder appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_JSON_BYTES = 16 << 20
 
 
 def finished(folder: Path, job: Job) -> dict | None:
-    """The record of a job that was done before with the same options; None where it has to be done."""
+    """The record of a job that was done before with the same options; None if it has to be done."""
     path = folder / job.name / DONE
     if not path.is_file():
         return None
@@ -125,7 +125,7 @@ def _work(folder: Path, job: Job) -> dict:
 
 
 def _export(folder: Path, kind: str) -> None:
-    """As ``adaptiveface export`` does, with its default output names."""
+    """Export as ``adaptiveface export`` does, with its default output names."""
     from ..export.arguments import add_export_arguments
     from ..export.command import run_export
 

@@ -1,4 +1,4 @@
-"""Calls spread over processes of this machine or over a Dask cluster; a worker that is lost costs its own call only."""
+"""Spread calls over processes of this machine or over a Dask cluster. A lost worker costs only its own call."""
 
 from __future__ import annotations
 

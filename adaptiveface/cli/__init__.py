@@ -1,7 +1,7 @@
 """Read the command line (``adaptiveface demo | capture | track | live | ...``) and call what it asks for.
 
-Thin: every command is a few calls of the package. Anything the user can act on ends as one line on stderr and exit
-status 2; Ctrl-C ends with 130 after saving what was done, SIGTERM likewise with 143.
+Every command is a few calls of the package. An error that the user can act on is one line on stderr with exit status
+2. Ctrl-C saves what was done and exits with 130; SIGTERM does the same and exits with 143.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .notes import Notes
 from .speech import speak
 
 EXIT_ERROR, EXIT_INTERRUPTED, EXIT_PIPE, EXIT_TERMINATED = 2, 130, 141, 143
-#: In the order of the help; each adds itself.
+#: The functions that add the commands, in the order of the help.
 COMMANDS = (
     offline.add_demo,
     offline.add_capture,
@@ -39,7 +39,7 @@ COMMANDS = (
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command of ``argv`` and return the exit status; without ``argv`` as the process's command, which it ends."""
+    """Run the command in ``argv`` and return the exit status. Without ``argv``, run the process's command line and exit."""
     speak()
     try:
         with orderly_end():

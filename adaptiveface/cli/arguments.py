@@ -31,7 +31,7 @@ def add_mirrored(command: argparse.ArgumentParser) -> None:
 
 
 def source_name(args: argparse.Namespace) -> str:
-    """The source or sensor, by the name under which it is opened."""
+    """The name under which the source or sensor is opened."""
     from ..sensors.orientation import MIRRORED
 
     name = args.source if hasattr(args, "source") else args.sensor
@@ -39,7 +39,7 @@ def source_name(args: argparse.Namespace) -> str:
 
 
 def opened(text: str, field_of_view: float | None = None):
-    """The source named by ``text``; what it converted or repaired is printed, one line each."""
+    """Open the source named by ``text``, and print a line for each thing that it converted or repaired."""
     from ..sensors import open_source
     from ..sensors.numbered import Abilities
 
@@ -74,7 +74,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def neutral_frames(text: str) -> int | range:
-    """The argparse type of ``--neutral-frames``: how many, or which: ``40``, ``100:140`` (without 140)."""
+    """The argparse type of ``--neutral-frames``: a number such as ``40``, or a range such as ``100:140`` (without 140)."""
     first, colon, last = text.partition(":")
     if not colon:
         return whole(1, 99_999)(text)
@@ -110,7 +110,7 @@ def parameters(settings: list[str]):
 
 
 def several(low: int, high: int) -> Callable[[str], list[int]]:
-    """The argparse type of two or more ascending whole numbers between ``low`` and ``high``, with commas."""
+    """The argparse type of two or more ascending whole numbers between ``low`` and ``high``, separated by commas."""
 
     def whole_numbers(text: str) -> list[int]:
         """The numbers, or argparse's error."""

@@ -1,4 +1,4 @@
-"""What is doubtful, in one line each: warnings of the package's log, as the command line prints them."""
+"""Print the package's warnings on the command line, one line each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Notes(logging.Handler):
         self._said: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a record that was not printed before."""
+        """Print a record, unless it was printed before."""
         from tqdm import tqdm
 
         text = " ".join(record.getMessage().split())

@@ -1,4 +1,4 @@
-"""Commands on numbered frames and on results: ``demo``, ``capture``, ``track``, ``export``."""
+"""Commands for recordings and results: ``demo``, ``capture``, ``track``, ``export``."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def run_demo(args: argparse.Namespace) -> int:
 
 
 def _check_demo(args: argparse.Namespace) -> None:
-    """What would end the demo after the tracking ends it here."""
+    """Raise now what would otherwise end the demo after the tracking."""
     inputs = [args.character]
     check_folder(args.out)
     outputs = {"actor.npz": "actor", "result.npz": "result", "report.html": "html"}
@@ -180,7 +180,7 @@ def run_track(args: argparse.Namespace) -> int:
     still_frames = 0
 
     def on_take(take) -> None:
-        """The report's jitter is measured where the leading frames are still."""
+        """Remember how many leading frames are still: the report measures the jitter there."""
         nonlocal still_frames
         still_frames = len(take.frames) if take.leading else 0
 
@@ -199,7 +199,7 @@ def run_track(args: argparse.Namespace) -> int:
 
 
 def _save_partial(result, out: Path) -> None:
-    """Keep the frames until Ctrl-C under a name of their own: a finished result of an earlier run stays."""
+    """Save the frames up to Ctrl-C under another name, so that the result of an earlier run stays."""
     partial = out.with_name(f"{out.stem}.partial.npz")
     earlier = f"; {out} is as it was" if out.exists() else ""
     if not len(result):

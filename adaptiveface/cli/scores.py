@@ -1,4 +1,4 @@
-"""What ``adaptiveface evaluate`` prints: a table of each run, the mean over runs, and what their parameters differ in."""
+"""What ``adaptiveface evaluate`` prints: a table for each run, the mean over the runs, and how their parameters differ."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..parameters import Parameters
 
 
 def compare_runs(pairs: Sequence[tuple[str, str]], actor: Path | None, step: int, table: Path | None) -> int:
-    """Score each (result, truth), print, and write ``table`` (.csv) where it is given."""
+    """Score each (result, truth), print the scores, and write them to ``table`` (.csv) if it is given."""
     if table is not None:
         check_output(table, "scores", [actor, *(path for pair in pairs for path in pair)])
     rows, parameters = [], []

@@ -1,4 +1,4 @@
-"""Commands on sensors and recordings that play: ``record``, ``convert``, ``stream``, ``live``."""
+"""Commands for sensors and for recordings that are played: ``record``, ``convert``, ``stream``, ``live``."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def add_stream(commands) -> None:
 
 
 def run_stream(args: argparse.Namespace) -> int:
-    """``stream SOURCE``: track, and send every frame; a take's or a phone's curves are sent as they are."""
+    """``stream SOURCE``: track and send every frame. The curves of a take or of a phone are sent as they are."""
     from ..livelink.receiver import is_livelink
     from ..livelink.take import is_take
 

@@ -1,4 +1,4 @@
-"""What commands print arrives on any terminal, pipe and file."""
+"""Make sure that what commands print arrives on any terminal, pipe or file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 
 def speak() -> None:
-    """No message may end a job: characters that the output's encoding lacks are written as ``\\\\u30c6``.
+    """Write characters that the output's encoding lacks as escapes, so that no message ends a job: ``\\\\u30c6``.
 
     For everything that writes there: print, progress bars, warnings, logging, and Python's own messages.
     """

@@ -10,7 +10,7 @@ from ..export.arguments import FORMATS
 from ..files import check_folder, check_output
 from .arguments import add_command, add_settings, parameters, whole
 
-#: As in ``studies.FIGURES``, which the command line does not load for its help.
+#: The same as ``studies.FIGURES``, which would take long to import for the help.
 PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
 
 
@@ -63,7 +63,7 @@ def add_batch(commands) -> None:
 
 
 def run_batch(args: argparse.Namespace) -> int:
-    """``batch FOLDER_OR_LIST --out DIR``: exit status 1 when a recording failed."""
+    """``batch FOLDER_OR_LIST --out DIR``. The exit status is 1 if a recording failed."""
     from ..batch import Batch, dask_client, expand, find_sources, parse_sweep
     from ..model.actor import Actor
 

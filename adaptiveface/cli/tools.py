@@ -130,7 +130,7 @@ def add_doctor(commands) -> None:
 
 
 def run_doctor(args: argparse.Namespace) -> int:
-    """``doctor``: 0 when all that is needed works, else 1."""
+    """``doctor``. The exit status is 0 if everything that is needed works, else 1."""
     from ..doctor import run_doctor as run
 
     return run(args.json)

@@ -16,9 +16,9 @@ from ..retargeting.retarget import Performance
 from ..runtime.timing import frame_rate, increasing, time_codes
 from .components import Meshes, frame_blocks, principal_targets
 
-#: Metres in a millimetre: what glTF, USD and the streams count in.
+#: Metres in a millimetre. glTF, USD and the streams use metres.
 METRES = 1e-3
-#: sRGB of skin where a mesh has no colours of its own.
+#: sRGB colour of the skin of a mesh that has no colours of its own.
 SKIN = (204, 168, 149)
 #: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
 CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])
@@ -103,7 +103,7 @@ def linear_colours(colours: np.ndarray) -> np.ndarray:
 
 
 def unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(V, 3) float32 of unit length; (0, 0, 1) where a vertex has no triangle."""
+    """(V, 3) float32 normals of unit length; (0, 0, 1) for a vertex without triangles."""
     normals = vertex_normals(vertices, triangles).astype(np.float32)
     normals[np.linalg.norm(normals, axis=1) < 0.5] = (0.0, 0.0, 1.0)
     return normals
@@ -122,10 +122,10 @@ def view_motion(head_pose: np.ndarray) -> np.ndarray:
 
 
 def character_animation(character: Character, performance: Performance) -> AnimatedMesh:
-    """A character that performs; shapes that nothing drives stay in the file with weight 0.
+    """Animate a character. Shapes that nothing drives stay in the file with weight 0.
 
-    A head that is not around the origin of its file (an avatar's stands on its body) is put there, because it turns about
-    the origin.
+    A head that is not at the origin of its file (an avatar's head is on top of its body) is moved there, because it turns
+    about the origin.
     """
     low, high = character.neutral.min(axis=0), character.neutral.max(axis=0)
     outside = ((low > 0) | (high < 0)).any()
@@ -144,7 +144,7 @@ def character_animation(character: Character, performance: Performance) -> Anima
 
 
 def actor_animation(result: Result, actor: Actor | None = None, tolerance: float = 0.045) -> AnimatedMesh:
-    """The actor's own mesh, so that every frame's v4 is reproduced within ``tolerance`` mm at every vertex.
+    """Animate the actor's own mesh so that every vertex of every frame is within ``tolerance`` mm of v4.
 
     With the actor's rig the targets are its blendshapes (weights: the re-solved coefficients), the learned correctives,
     and what these cannot hold: principal components of the residual, as many as the tolerance asks for (v4 contains the

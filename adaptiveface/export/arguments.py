@@ -1,4 +1,4 @@
-"""Options of ``adaptiveface export`` and ``stream``; apart from the work, so that the command line starts fast."""
+"""Options of ``adaptiveface export`` and ``stream``, in a module of their own so that the command line starts fast."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def add_stream_arguments(command: argparse.ArgumentParser) -> None:
 
 
 def add_destinations(command: argparse.ArgumentParser) -> None:
-    """Where to send; every HOST is this machine unless it is named."""
+    """Options that say where to send. The default HOST is this machine."""
     command.add_argument(
         "--vmc", nargs="?", const="", metavar="HOST:PORT", help="send VMC messages to an avatar (default: 127.0.0.1:39539)"
     )

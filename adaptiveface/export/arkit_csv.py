@@ -1,4 +1,4 @@
-"""A performance as CSV of Live Link Face, and back: :mod:`adaptiveface.livelink` holds the file's conventions."""
+"""Write a performance as a CSV file of Live Link Face, and read one. :mod:`adaptiveface.livelink` holds the conventions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A user's own avatar that performs: the file as it was, with an animation added."""
+"""Let a user's own avatar perform: the file is copied, and an animation is added."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Avatar:
         )
 
     def write(self, out: Path, performance: Performance) -> list[str]:
-        """Write the file with the performance added, whole or not at all; returns what stays still and why.
+        """Write the file with the performance added, whole or not at all. Returns notes on what stays still, and why.
 
         ``out`` ends in .glb, .gltf or, for a VRM file, .vrm. Raises :class:`ParameterError` for other names and for the
         avatar's own file, :class:`AdaptiveFaceError` where it cannot be written.

@@ -1,4 +1,4 @@
-"""How far the eyes of an avatar turn for a gaze: as VRM's look-at says, else as a person's do."""
+"""How far the eyes of an avatar turn for a gaze: as VRM's look-at says, or else as far as a person's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the nodes of a user's avatar move with a tracked head: its bones, or without bones the meshes of the head.
+"""Move a user's avatar with a tracked head: its bones or, if it has none, the nodes of the head's meshes.
 
 All rotations are those of the avatar's world. The head's bone takes the tracked rotation whole; the neck's bone turns by a
 share of it, and the head adds the rest. Where there are no bones the nodes that carry the head's meshes turn about
@@ -119,7 +119,7 @@ def _turn_eyes(motion, file, nodes, rest, face: OpenFace | None, bones: dict, ga
 
 
 def _move_meshes(motion, file, nodes: Nodes, rest, face: OpenFace | None, faces: set[int], turned, path: np.ndarray) -> None:
-    """Without bones: turn the nodes that carry the head's meshes about its middle; move them where there is no body."""
+    """Without bones, turn the nodes that carry the head's meshes about its middle, and move them if there is no body."""
     head = faces if face is None else face.nodes
     shown = [number for number in nodes.shown if "mesh" in nodes.entries[number]]
     alone = set(shown) == head if face is None else face.alone

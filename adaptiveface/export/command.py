@@ -112,7 +112,7 @@ def write_avatar(
 
 
 def _timed(result: Result, path: Path) -> Result:
-    """The result with times that every format can use; says what was repaired."""
+    """The result with timestamps that every format can use. Prints what was repaired."""
     times = clean_times(result.timestamps, str(path))
     for note in times.notes:
         print(note)
@@ -120,7 +120,7 @@ def _timed(result: Result, path: Path) -> Result:
 
 
 def _coefficients(args: argparse.Namespace, actor: Actor | None) -> str:
-    """What drives characters: ARKit's own shapes where nothing else was asked for and the rig is there."""
+    """What drives characters: ARKit's own shapes, unless something else was asked for or the rig is missing."""
     if args.coefficients == "arkit" and args.correctives:
         raise ParameterError("--coefficients arkit: does not go with --correctives, which carry what the expressions lack")
     automatic = "arkit" if has_units(actor) and not args.correctives else "resolved"
@@ -132,7 +132,7 @@ def _smoothing(args: argparse.Namespace) -> Smoothing | None:
 
 
 def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compact: bool = False, meshopt: bool = False) -> None:
-    """Write any of the formats of meshes; says the size of large ones first. ``unit``: of lengths in OBJ and caches."""
+    """Write any of the mesh formats. The size of large files is printed first. ``unit`` is that of OBJ files and caches."""
     if kind == "glb" and meshopt:
         from .meshopt import write_meshopt_glb
 
@@ -195,7 +195,7 @@ def _actor(path: Path | None, folder: Path, result: Result) -> Actor | None:
 
 
 def animated(result: Result, actor: Actor | None, options: ExportOptions) -> AnimatedMesh:
-    """The animated mesh that the options ask for; says on stdout which shapes will not show."""
+    """The animated mesh that the options ask for. Prints which shapes will not show."""
     if options.character == "actor":
         mesh = actor_animation(result, actor)
         return with_insides(mesh, result, actor) if options.insides else mesh
@@ -248,7 +248,7 @@ def demo_character_files(character: Character) -> dict[str, str]:
 def write_demo_character(name: str, result: Result, actor: Actor, source, folder: Path) -> list[Path]:
     """``demo --character``: NAME.glb and NAME.mp4 (half the frames) beside the report.
 
-    The .glb is the character's own file where it is one, else it has the actor's correctives where they can be carried.
+    A character that comes from a .glb keeps its own file; any other gets the actor's correctives if they can be carried.
     """
     from .gltf import write_glb
 

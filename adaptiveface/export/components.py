@@ -1,8 +1,8 @@
 """Morph targets for what nothing else holds: principal components of meshes over time, in memory that does not grow with it.
 
-A decomposition of all F frames takes F^2 numbers and F^3 steps. Up to :data:`SAMPLE` frames it is done just so, and gives
-the fewest components. Of a longer take as many frames, spread evenly, give the components; then every frame is looked at
-once, and where one is farther off than the tolerance, components of what is missing there are added.
+A decomposition of all F frames takes F^2 numbers and F^3 steps. Up to :data:`SAMPLE` frames it is done in this way, which
+gives the fewest components. Of a longer take, as many frames, spread evenly, give the components. Then every frame is
+checked once, and components are added for frames that are farther off than the tolerance.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where a stream goes, from the options that ``stream`` and ``live`` share."""
+"""The destinations of a stream, from the options that ``stream`` and ``live`` share."""
 
 from __future__ import annotations
 

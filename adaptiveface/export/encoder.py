@@ -1,4 +1,4 @@
-"""Raw pictures to ffmpeg through a pipe; how it ended is looked at, and what it said is told."""
+"""Encode raw pictures with ffmpeg through a pipe. Its exit status is checked, and its messages are reported."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tu
     """Write RGB ``frames`` (height, width, 3) uint8 of ``size`` (width, height) as H.264.
 
     Raises :class:`AdaptiveFaceError` with ffmpeg's own reason, OSError where the disk is full. On Ctrl-C and any other
-    failure ffmpeg is ended before it could finish the film.
+    failure, ffmpeg is ended before it finishes the film.
     """
     command = [
         program,

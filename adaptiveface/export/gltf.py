@@ -1,7 +1,7 @@
 """glTF 2.0 binary files (.glb): mesh, morph targets, weights animation, head motion as node animation.
 
-A writer of its own, because the libraries at hand hold the JSON but leave the work: trimesh writes no morph targets or
-animations, pygltflib wraps the JSON objects. Morph targets are sparse accessors (most of a head is still), with
+This is a writer of our own because libraries leave out what is needed: trimesh writes no morph targets or animations,
+and pygltflib only wraps the JSON objects. Morph targets are sparse accessors (most of a head is still), with
 normals, so that a morphed face shades as it should. Lengths in metres, y up, z towards the viewer (glTF 2.0, 3.4).
 """
 
@@ -163,8 +163,8 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
 def _add_inside(document: dict, builder: _Builder, inside: AnimatedMesh, packing: _Packing) -> None:
     """A second mesh that moves as the head does.
 
-    It is no child of the head, because three.js gives a node's weights to all below it. Its channels are the first, because
-    early readers took the last for the head's.
+    It is not a child of the head, because three.js applies a node's weights to all nodes below it. Its channels come first,
+    because earlier readers took the last ones for those of the head.
     """
     nodes, animation = document["nodes"], document["animations"][0]
     nodes[0]["children"].append(2)

@@ -1,6 +1,6 @@
-"""A user's glTF file with something added: everything that was in it stays as it is, byte for byte.
+"""Add to a user's glTF file. Everything that was in it stays as it is, byte for byte.
 
-The JSON gains entries, the binary chunk grows at its end. Compressed meshes and textures are not opened.
+Entries are added to the JSON, and bytes to the end of the binary chunk. Compressed meshes and textures are not opened.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class GltfEdit:
 
     # ---- buffers ----
     def _place(self) -> tuple[int, bytes | memoryview]:
-        """The buffer that takes what is added, and what it holds before."""
+        """The buffer that new data is added to, and its present content."""
         first = (self.file.items("buffers") or [{"byteLength": 0}])[0]
         if not self.document.get("buffers"):
             return self._append("buffers", {"byteLength": 0}), b""
@@ -104,7 +104,7 @@ class GltfEdit:
         return len(self._before) + -len(self._before) % 4
 
     def _take_in(self, name: str) -> None:
-        """Carry what lies beside the input into the output."""
+        """Copy the files beside the input into the output."""
         for entry in self.document.get(name) or ():
             uri = entry.get("uri")
             if not isinstance(uri, str) or uri.startswith("data:"):

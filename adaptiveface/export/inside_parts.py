@@ -12,7 +12,7 @@ from ..result import Result
 from .animation import AnimatedMesh, in_slider_range
 from .components import principal_targets
 
-#: Millimetres by which a part may lie off in a file.
+#: Largest error of a part in a file, mm.
 TOLERANCE = 0.05
 
 

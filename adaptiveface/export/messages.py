@@ -1,4 +1,4 @@
-"""What is sent of a face, as lists of OSC messages: VMC for avatars, plain OSC and Face Cap's OSC for everything else."""
+"""The OSC messages that are sent of a face: VMC for avatars, plain OSC and Face Cap's OSC for everything else."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class VmcAvatar:
 def read_avatar(path: Path, moves: bool = False) -> VmcAvatar:
     """Bones and face of a ``.vrm`` or ``.glb`` file; raises :class:`FileFormatError`.
 
-    An avatar with ARKit's names gets those alone, because presets beside them would move its face twice.
+    An avatar with ARKit's names is sent only those, because presets would move its face a second time.
     """
     from ..retargeting.face_rig import face_rig
     from ..retargeting.gltf_bones import find_bones
@@ -201,7 +201,7 @@ def _quaternion(turn: Rotation) -> list[float]:
 
 
 def _unity_turn(turn: Rotation) -> list[float]:
-    """Unity's axes are left-handed: x is mirrored, and with it the turns about y and z."""
+    """A rotation in Unity's left-handed axes: x is mirrored, and so are the rotations about y and z."""
     x, y, z, w = _quaternion(turn)
     return [x, -y, -z, w]
 

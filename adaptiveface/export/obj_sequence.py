@@ -14,7 +14,7 @@ from ..retargeting import UNITS
 from ..retargeting.obj_folder import read_obj
 from .animation import AnimatedMesh, unit_normals
 
-#: With one prefix for all, because importers of sequences ask for it; earlier versions wrote none.
+#: All files have one prefix, because importers of sequences need it. Earlier versions wrote none.
 _FRAME = re.compile(r"(?:face_)?\d{5,}\.obj")
 _UNIT = re.compile(r"# adaptiveface: lengths in (\w+)")
 
@@ -22,7 +22,7 @@ _UNIT = re.compile(r"# adaptiveface: lengths in (\w+)")
 def obj_text(vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm") -> str:
     """An OBJ file of vertices (V, 3) mm and triangles (T, 3), with smooth normals, in ``unit`` (:data:`UNITS`).
 
-    colours (V, 3) uint8 stand behind the coordinates, as many programs read them.
+    colours (V, 3) uint8 follow the coordinates in the form that many programs read.
     """
     points, digits = vertices / UNITS[unit], {"mm": 4, "cm": 5, "m": 7}[unit]
     number = f"{{:.{digits}f}}"
@@ -91,7 +91,7 @@ def read_obj_sequence(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _millimetres(path: Path) -> float:
-    """Millimetres per unit of a file that :func:`obj_text` made; earlier versions wrote millimetres and did not say so."""
+    """Millimetres per unit of a file that :func:`obj_text` made. Earlier versions wrote millimetres, unsaid."""
     with open(path, encoding="utf-8", errors="replace") as stream:
         found = _UNIT.match(stream.readline(100))
     return UNITS.get(found[1], 1.0) if found else 1.0

@@ -56,7 +56,7 @@ class Streamer:
     actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves;
     ``parameters`` are those of the tracker (the defaults unless given). halves: solve for ARKit's shapes with their left
     and right halves (:class:`~adaptiveface.retargeting.arkit_resolve.ArkitResolve`) instead of the tracked expressions.
-    Where it goes and in which form: :class:`Sender`.
+    :class:`Sender` says where the frames go and in which form.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Streamer:
         return self._sender.sent
 
     def send(self, frame: TrackedFrame, source_frame: RgbdFrame | None = None) -> None:
-        """Send one frame; a lost face sends only that it is lost. Eyes follow the irises in ``source_frame``.
+        """Send one frame. Of a lost face, only that it is lost is sent. The eyes follow the irises in ``source_frame``.
 
         Raises :class:`AdaptiveFaceError` (no route).
         """
@@ -139,7 +139,7 @@ class Sender:
         self.sent = 0
 
     def send(self, state: FaceState) -> None:
-        """Send one face to all; raises :class:`AdaptiveFaceError` where there is no way there."""
+        """Send one face to all receivers. Raises :class:`AdaptiveFaceError` if one cannot be reached."""
         try:
             if self._vmc is not None:
                 _send(self._vmc, vmc_messages(state, self._avatar))
@@ -173,7 +173,7 @@ def _client(address: Address | None):
         raise AdaptiveFaceError(f"{address.host}:{address.port}: {error}") from None
 
 
-#: Messages of one datagram: below the 1,472 bytes that cross a network whole.
+#: Messages in one datagram, which then stays below the 1,472 bytes that networks carry unfragmented.
 _PER_BUNDLE = 20
 
 
@@ -192,7 +192,7 @@ def _send(client, messages: list[Message]) -> None:
 
 
 class Pace:
-    """Holds a recording back to the speed at which it was taken; live sources are never held back."""
+    """Plays a recording at the speed at which it was taken. Live sources are never held back."""
 
     def __init__(self) -> None:
         self._began: tuple[float, float] | None = None

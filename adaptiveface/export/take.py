@@ -1,4 +1,4 @@
-"""``adaptiveface export take.csv``: a take of Live Link Face drives a character, no tracking in between."""
+"""``adaptiveface export take.csv``: a take of Live Link Face drives a character, without any tracking."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _say(take: LiveLinkTake) -> None:
 
 
 def take_coverage(take: LiveLinkTake, character: Character) -> list[str]:
-    """What will not show, one line each: curves that move and that the character lacks, shapes that nothing drives."""
+    """Lines about what will not show: moving curves that the character lacks, and shapes that nothing drives."""
     moving = {name for name, curve in zip(ARKIT_NAMES, take.curves.T, strict=True) if np.ptp(curve) > 1e-3}
     missing = [name for name in character.missing if name in moving]
     lines = [f"{character.name} lacks: {', '.join(missing)}"] if missing else []

@@ -69,7 +69,7 @@ def write_usd(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
 
 
 def _export(stage, path: Path) -> None:
-    """Write, and read it back: USD may take a full disk for a success."""
+    """Write the file and read it back, because USD may report success on a full disk."""
     try:
         written = stage.Export(os.fspath(path))
     except Exception:  # pxr.Tf.ErrorException, whose text is about USD's own source
@@ -79,7 +79,7 @@ def _export(stage, path: Path) -> None:
 
 
 def _write_package(stage, path: Path) -> None:
-    """A package as Apple's AR Quick Look takes it: one .usdc inside an uncompressed zip."""
+    """Write a package as Apple's AR Quick Look expects it: one .usdc in an uncompressed zip."""
     pxr = _pxr()
     with tempfile.TemporaryDirectory() as folder:
         layer = Path(folder) / "performance.usdc"
@@ -91,7 +91,7 @@ def _write_package(stage, path: Path) -> None:
 
 
 def _failed(path: Path) -> OSError:
-    """USD does not say why: a disk with less than a MiB left is full."""
+    """The error of a failed write. USD gives no reason: a disk with less than 1 MiB left counts as full."""
     full = shutil.disk_usage(path.parent).free < 1 << 20
     return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) if full else OSError(errno.EIO, "USD failed")
 

@@ -112,7 +112,7 @@ def input_panel(source, result: Result) -> Panel:
 
 
 def _framing(result: Result) -> tuple[np.ndarray, float]:
-    """Where the face is, (3,) mm in the camera frame, and how far it reaches from there at most, mm."""
+    """The middle (3,) of the face in the camera frame, mm, and how far the face reaches from there, mm."""
     frontal = np.flatnonzero(result.frontal)
     some = result.vertices[:: max(1, len(result) // 300)][:, frontal]
     middle = np.median(some.mean(axis=1), axis=0)
@@ -122,7 +122,7 @@ def _framing(result: Result) -> tuple[np.ndarray, float]:
 def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Iterator[np.ndarray]:
     """Pictures (PANEL, n PANEL, 3) uint8 RGB with a label on every panel, for frame numbers.
 
-    Every panel is drawn by a thread of its own, in order and a few frames ahead. A number that follows itself is drawn once.
+    Each panel is drawn by a thread of its own, in order and a few frames ahead. A frame that is repeated is drawn once.
     """
     with ExitStack() as stack:
         threads = [stack.enter_context(ThreadPoolExecutor(1, "panel")) for _ in panels]
@@ -246,7 +246,7 @@ def _write_opencv(temporary: Path, frames: Iterable[np.ndarray], size: tuple[int
 
 
 def _frames_in(path: Path) -> int:
-    """How many pictures a finished film says that it holds; 0 where it cannot be played."""
+    """The number of pictures in a finished film; 0 if it cannot be played."""
     with quiet():
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() and capture.grab() else 0

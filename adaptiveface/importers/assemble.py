@@ -1,4 +1,4 @@
-"""From a foreign file's arrays to a :class:`FaceModel`: plausibility, skin, features, generic expressions."""
+"""Make a :class:`FaceModel` of a foreign file's arrays: check them, cut out the skin, find features and generic expressions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NEGLIGIBLE_MM = 1e-3
 
 @dataclass(frozen=True)
 class ForeignModel:
-    """What a format holds.
+    """The arrays of a foreign model, in our units.
 
     mean (V, 3) mm; triangles (T, 3); identity_modes (M, V, 3), expressions (E, V, 3) float32 mm; names (E,); ``units``:
     the expressions are activations in [0, 1] with ARKit names, else principal components per standard deviation; skin
@@ -124,7 +124,7 @@ def _largest_part(triangles: np.ndarray, n: int) -> np.ndarray:
 
 
 def _without_empty(foreign: ForeignModel) -> ForeignModel:
-    """Without the components that move teeth, tongue or eyeballs only: they would leave the fit undetermined."""
+    """Leave out the components that move only teeth, tongue or eyeballs, because they would leave the fit undetermined."""
     moving = [
         np.abs(modes).max(axis=(1, 2), initial=0.0) > NEGLIGIBLE_MM for modes in (foreign.identity_modes, foreign.expressions)
     ]

@@ -1,4 +1,4 @@
-"""Finding features, the frontal region and the depth mask on a foreign mesh, by fitting our own model to its mean head.
+"""Find features, the frontal region and the depth mask of a foreign mesh by fitting our own model to its mean head.
 
 The foreign mean is treated like a neutral scan: our model's pose and identity are fitted to it and the result is
 shrink-wrapped onto it (paper, section 3). What our mesh knows is then read off at the closest points.

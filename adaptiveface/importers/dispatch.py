@@ -1,4 +1,4 @@
-"""One door for all formats: the content decides, not the file's name."""
+"""Import a face model of any known format, which is told by its content, not by its name."""
 
 from __future__ import annotations
 

@@ -9,14 +9,14 @@ import numpy as np
 from ..errors import FileFormatError
 from ..files import decoded, read_bytes
 
-#: Vertices and faces each: a head of film quality has a tenth of it.
+#: Largest number of vertices and of faces; a head of film quality has a tenth of it.
 MAX_FILE_BYTES, MAX_LINES, MAX_ELEMENTS, MAX_LINE_BYTES = 96 << 20, 8_000_000, 1_000_000, 1 << 16
 
 
 def read_lines(path: Path) -> list[bytes]:
     """The lines of an OBJ file that hold vertices and faces.
 
-    Raises :class:`FileFormatError` when it is missing or absurdly large; it is counted before a line is made of it.
+    Raises :class:`FileFormatError` if the file is missing, or holds more than a face model may. Lines are counted first.
     """
     content = read_bytes(path, MAX_FILE_BYTES)
     if not content[:1].isascii():  # a byte-order mark

@@ -73,7 +73,7 @@ def _open_notebook(args: argparse.Namespace) -> int:
 
 
 class _Headless:
-    """One run in the terminal: scan where no rig is given, track until it ends, keep everything."""
+    """One run in the terminal: scan if no rig is given, track until the end, and save everything."""
 
     def __init__(self, args: argparse.Namespace, parameters: Parameters) -> None:
         self.args, self.parameters, self.line = args, parameters, StatusLine()
@@ -124,7 +124,7 @@ class _Headless:
             print(recorder.close())
 
     def _watch_recording(self) -> str:
-        """Say at once that the recording has stopped; returns what every later line says of it."""
+        """Print at once that the recording has stopped. Returns a note for every later line."""
         error = self._recorder.error if self._recorder else None
         if error is None:
             return ""
@@ -164,7 +164,7 @@ class _Headless:
             self.line.show(f"{step} {share:.0%}")
 
     def _prepare(self, run: LiveRun) -> None:
-        """The head is known: keep it, and be there for the first result."""
+        """Save the head, which is known now, and get ready for the first result."""
         self.line.end()
         if self.args.save_actor is not None:
             run.actor.save(self.args.save_actor)

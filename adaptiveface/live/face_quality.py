@@ -1,4 +1,4 @@
-"""Where :mod:`adaptiveface.neutral.face_quality` was before recordings were judged by it, too."""
+"""The former place of :mod:`adaptiveface.neutral.face_quality`."""
 
 from ..neutral.face_quality import (
     Expression,

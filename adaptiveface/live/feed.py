@@ -1,4 +1,4 @@
-"""The feature thread: the sensor's newest frame goes through the detector and comes out with its own features."""
+"""The feature thread: it finds the features of the sensor's newest frame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FeatureFeed:
     """Frames of ``sensor`` with 2D features, found in a thread of its own; a context manager. The sensor stays open.
 
     Frames that bring features pass unchanged, unless a ``detector`` is given or ``always`` is set: then every colour image
-    is searched. Where no detector is given one is made for the first frame that needs it, and closed at the end. A
+    is searched. Without a ``detector``, one is made for the first frame that needs it, and closed at the end. A
     recording waits until its frames are read.
 
     ``dropped``: frames whose features were found but which a newer one replaced before they were read. What the

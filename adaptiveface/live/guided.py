@@ -1,7 +1,7 @@
 """The guided neutral scan: tells a person what to do, and keeps the best frames (paper, section 3, "input").
 
-Look straight, turn left, right, up, down, some two seconds each. Fed with the frames of a live sensor that have 2D
-features; no thread, no view, under 3 ms a frame.
+The person looks straight ahead and turns left, right, up and down, about two seconds each. The scan is fed with the frames of
+a live sensor that have 2D features. It has no thread and no view, and takes less than 3 ms a frame.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class GuidedCapture:
         return self._guidance(warnings)
 
     def finish(self) -> Guidance:
-        """Enough: stop here with the frames there are. Raises :class:`TrackingError` when no frame shows a face."""
+        """Stop with the frames that there are. Raises :class:`TrackingError` when no frame shows a face."""
         if not self._kept:
             raise TrackingError(
                 f"none of the {self.frames_seen} frames so far shows a face with depth; nothing to build a head from"
@@ -177,7 +177,7 @@ class GuidedCapture:
         return tuple(warnings), (face, blur)
 
     def _blur(self, frame: RgbdFrame) -> float:
-        """0 as sharp as usual, 1 at the limit; without colour 0."""
+        """Blur from 0, as sharp as usual, to 1, the limit; 0 without colour."""
         sharp = sharpness(frame)
         if not np.isfinite(sharp):
             return 0.0
@@ -225,7 +225,7 @@ class GuidedCapture:
         self._seen += seen_by_depth(frame.depth, frame.camera, points, normals, REACH)
 
     def _drop_one(self) -> None:
-        """The costliest frame of the direction that has most; unclean ones first."""
+        """Drop the worst frame of the direction that has the most, unclean ones first."""
         cells: dict[tuple[int, int], int] = {}
         for kept in self._kept:
             cells[kept.cell] = cells.get(kept.cell, 0) + 1
@@ -238,7 +238,7 @@ class GuidedCapture:
 
     # ---- steps -----------------------------------------------------------------------------------------------------
     def _next_step(self) -> None:
-        """Leave a step that is reached, or that has had its share of the time, for the next one that is not."""
+        """Go from a step that is reached, or has used its share of the time, to the next one that is not reached."""
         coverage, names = self.coverage, list(STEPS)
         waited = self._elapsed - self._step_began
         if coverage[self._step] < 1 and (waited < self.seconds / len(STEPS) or not self._level):

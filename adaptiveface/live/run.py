@@ -108,7 +108,7 @@ class LiveRun:
             self._parameters = parameters
 
     def finish_scan(self) -> None:
-        """Enough of the neutral scan: build from the frames there are, or from the first one that can be used."""
+        """End the neutral scan: build from the frames that there are, or from the first usable one."""
         scan = self._scan
         if scan is not None:
             scan.finish()

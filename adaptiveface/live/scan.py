@@ -1,6 +1,6 @@
-"""The neutral scan, from a feed's frames to a head: guided where there is depth, without it the proportions alone.
+"""The neutral scan, from a feed's frames to a head: guided with depth, and only the proportions without depth.
 
-On the caller's thread and without a view; :class:`~adaptiveface.live.run.LiveRun` drives it.
+It runs on the caller's thread, without a view. :class:`~adaptiveface.live.run.LiveRun` drives it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..sensors.worker import POLL_SECONDS
 from .feed import FeatureFeed
 from .guided import STEPS, Guidance, GuidedCapture
 
-#: Without a frame for so long (s) the scan says so.
+#: After this long without a frame (s), the scan says so.
 SILENCE_SECONDS = 1.0
 #: Frames with a face from which the proportions are taken where there is no depth.
 COLOUR_FRAMES = 30
@@ -48,7 +48,7 @@ class NeutralScan:
 
     # ---- from any thread -------------------------------------------------------------------------------------------
     def finish(self) -> None:
-        """Enough: build from the frames there are, or from the first one that can be used."""
+        """End the scan: build from the frames that there are, or from the first usable one."""
         self._enough = True
 
     def cancel(self) -> None:
@@ -123,7 +123,7 @@ class NeutralScan:
         return Guidance(STEPS["straight"], "straight", min(share, 1.0), {}, warnings, done)
 
     def _finished(self) -> Guidance:
-        """The recording is over: what there is has to do."""
+        """The recording is over: go on with the frames that there are."""
         if self.guide is not None:
             return self.guide.finish()
         if not self._faces:

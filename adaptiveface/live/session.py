@@ -1,4 +1,4 @@
-"""The tracker thread: the newest frame with features goes in, the tracked face comes out, whoever watches."""
+"""The tracker thread: it tracks the newest frame with features, whether or not anything displays the result."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from .statistics import LiveStatistics, Meter
 
 #: Longest :meth:`LiveSession.close` waits for the frame in hand, s.
 CLOSE_SECONDS = 0.9
-#: Without a frame for so long (s) the session says so.
+#: After this long without a frame (s), the session says so.
 SILENCE_SECONDS = 1.0
-#: So many frames in a row on which the tracker itself fails end the session: it will not recover.
+#: The session ends when the tracker itself fails on so many frames in a row: it will not recover.
 MOST_FAILURES = 30
 
 
@@ -135,7 +135,7 @@ class LiveSession:
         return self._meter.statistics()
 
     def close(self) -> None:
-        """Stop tracking, within a second; calling it again does nothing. Raises an error that nobody has seen yet."""
+        """Stop tracking, within a second. Calling it again does nothing. Raises the error that was not raised yet, if any."""
         self._results.close()
         if self._worker.join(CLOSE_SECONDS):
             with self._changed:

@@ -1,4 +1,4 @@
-"""How a live session is doing: rate, latency, frames that were lost on the way, and what it has to say."""
+"""Statistics of a live session: rate, latency, lost frames, and the current message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One line of text that is written over in a terminal, and now and then a new one in a log file."""
+"""A line of text that is rewritten in place in a terminal; in a log file, a new line now and then."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LOG_SECONDS, UPDATE_SECONDS = 5.0, 0.1
 
 
 class StatusLine:
-    """``show(text)`` as often as wanted; ``end(text)`` leaves a line that stays."""
+    """Shows a changing text: call :meth:`show` as often as wanted, and :meth:`end` to leave a line that stays."""
 
     def __init__(self, stream=None) -> None:
         self._stream = stream or sys.stdout
@@ -19,7 +19,7 @@ class StatusLine:
         self._next, self._open = 0.0, False
 
     def show(self, text: str) -> None:
-        """Show ``text`` in place of what was shown before, if it is time."""
+        """Show ``text`` in place of what was shown before, unless that was just now."""
         now = time.monotonic()
         if now < self._next:
             return
@@ -33,7 +33,7 @@ class StatusLine:
         self._stream.flush()
 
     def end(self, text: str = "") -> None:
-        """A line that stays; without ``text`` only the end of the one that is shown."""
+        """Write a line that stays; without ``text``, only clear the one that is shown."""
         if self._open:
             width = shutil.get_terminal_size().columns - 1
             self._stream.write("\r" + " " * width + "\r")

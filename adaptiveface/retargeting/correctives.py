@@ -1,4 +1,4 @@
-"""Carrying what the coefficients cannot express to the target: transfer of v4 - v1 (paper, section 8, future work).
+"""Transfer what the coefficients cannot express, v4 - v1, to the target (paper, section 8, future work).
 
 For a target whose skin has the actor's topology the difference between the final mesh v4 and the blendshapes' v1 is
 carried over by deformation transfer: both are transferred from the actor's neutral to the target's neutral with one

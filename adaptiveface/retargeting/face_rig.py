@@ -1,4 +1,4 @@
-"""What drives the face of a glTF or VRM file, told from its JSON alone: no mesh is opened.
+"""Find out what drives the face of a glTF or VRM file, from its JSON alone.
 
 Morph targets with ARKit names are driven by the curve of that name. VRM's expressions take part under ARKit names ("perfect
 sync") and, for what no ARKit shape of the file shows, as VRM presets (:mod:`adaptiveface.retargeting.vrm_presets`).

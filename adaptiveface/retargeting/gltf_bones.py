@@ -1,4 +1,4 @@
-"""The bones that a performance turns: head, neck and eyes, by VRM's humanoid or by the names that rigs give them."""
+"""Find the bones that a performance turns (head, neck and eyes), by VRM's humanoid or by the usual names."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ _VRM = {"head": "head", "neck": "neck", "leftEye": "left eye", "rightEye": "righ
 
 
 def find_bones(file: GltfContainer, nodes: Nodes) -> dict[str, int]:
-    """Node numbers by "head", "neck", "left eye", "right eye"; what is not found is missing.
+    """Node numbers by "head", "neck", "left eye" and "right eye", of those that were found.
 
-    The neck and the eyes count only where they hang together with the head.
+    The neck and the eyes count only if they are connected with the head.
     """
     bones = _humanoid(file, nodes) or _named(nodes, _joints(file, nodes))
     if "head" not in bones:

@@ -165,7 +165,7 @@ def _users(rig: FaceRig, mesh: int) -> dict[int, list[tuple[int, float]]]:
 
 
 def _heads(file: GltfFile, nodes: Nodes, pieces: list[Piece], unit: float) -> list[Piece]:
-    """Where the mesh of the face holds a body too: of it only what the head's bone carries."""
+    """If the mesh of the face includes a body, keep only what the head's bone carries."""
     faces = np.concatenate([piece.vertices for piece in pieces if piece.has_targets])
     head = find_bones(file, nodes).get("head")
     if unit * np.ptp(faces[:, 1]) <= LARGEST_HEAD or head is None:

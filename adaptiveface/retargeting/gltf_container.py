@@ -1,7 +1,7 @@
-"""The outside of glTF 2.0 (.gltf, .glb, .vrm): JSON, chunks and buffers, read with care from anywhere.
+"""Read the container of glTF 2.0 (.gltf, .glb, .vrm): JSON, chunks and buffers, which need not be trusted.
 
-Every number is judged before memory is taken. Buffers come from the file itself or from files beside it, never from
-outside its folder.
+Every number is checked before memory is allocated. Buffers come from the file itself or from files beside it, never
+from outside its folder.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reading the accessors of glTF 2.0: sparse, quantised and compressed ones, each bounded before memory is taken."""
+"""Read the accessors of glTF 2.0, also sparse, quantised and compressed ones. Sizes are checked before memory is allocated."""
 
 from __future__ import annotations
 
@@ -129,6 +129,6 @@ def _fan(corners: np.ndarray) -> np.ndarray:
 
 
 def _whole_triangles(triangles: np.ndarray) -> np.ndarray:
-    """Without those that strips repeat a corner for, to go on elsewhere."""
+    """The triangles without the degenerate ones by which strips continue elsewhere."""
     a, b, c = triangles.T
     return triangles[(a != b) & (b != c) & (c != a)].reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Where the vertices of a glTF file's meshes are at rest: nodes, skins, what the head alone covers."""
+"""Place the vertices of a glTF file's meshes at rest, through nodes and skins."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def retarget(
 
 
 def _with_gaze(performance: Performance, result: Result) -> Performance:
-    """The performance looks where the result's irises do; as it is where none were seen."""
+    """The performance with the gaze of the result's irises; unchanged if none were seen."""
     if result.gaze is None:
         return performance
     eyes = eyes_of_gaze(result.gaze)
@@ -127,7 +127,7 @@ def driving_names(result: Result, coefficients: str) -> tuple[str, ...]:
 
 
 def coverage(table: ArkitWeights, character: Character) -> list[str]:
-    """What will not show, one line each: unknown expressions, driven ARKit shapes that the character lacks."""
+    """Lines about what will not show: unknown expressions, and driven ARKit shapes that the character lacks."""
     driven = [ARKIT_NAMES[i] for i in np.flatnonzero(np.abs(table.matrix).max(axis=0) > 0)]
     lines = [f"no ARKit counterpart: {', '.join(table.unknown)}"] if table.unknown else []
     missing = [name for name in driven if name in character.missing]

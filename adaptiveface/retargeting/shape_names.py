@@ -1,4 +1,4 @@
-"""Which of a face's shapes stand for which ARKit shape, so that no movement is driven twice.
+"""Match a face's shapes with ARKit's so that no movement is driven twice.
 
 A shape may be there as a whole and as two halves (``browInnerUp`` beside ``browInnerUpLeft`` and
 ``browInnerUpRight``), or twice under two spellings. One of them is driven: the whole where ARKit has a whole, the halves

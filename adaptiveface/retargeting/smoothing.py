@@ -1,4 +1,4 @@
-"""Smoothing of coefficient curves: one-euro filter or Kalman model, and what they cost.
+"""Smooth coefficient curves with a one-euro filter or the Kalman model, and measure what that costs.
 
 The cost: jitter on a still face (what smoothing is for) against lag on a step (what it takes).
 """
@@ -85,9 +85,9 @@ class KalmanSmoothing:
         return state.update(value), state
 
 
-#: What the command line offers.
+#: The filters that the command line offers.
 FILTERS: dict[str, type[Smoothing]] = {"one-euro": OneEuro, "kalman": KalmanSmoothing}
-#: What is compared in reports and docs: the offered ones first.
+#: What reports and docs compare, the offered filters first.
 COMPARED: dict[str, Smoothing] = {
     "one-euro, 2 Hz, beta 3 (--smooth)": OneEuro(),
     "one-euro, 1 Hz, beta 1": OneEuro(1.0, 1.0),

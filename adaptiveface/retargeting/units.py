@@ -8,7 +8,7 @@ from . import UNITS
 
 #: Millimetres in glTF's unit of length.
 METRES = UNITS["m"]
-#: Heights of a head, with neck or bust, that need no word, mm.
+#: Usual heights of a head, with neck or bust, mm.
 SMALLEST_HEAD, LARGEST_HEAD = 80.0, 600.0
 #: Millimetres per unit that files come in, and the largest extent of a head, with neck or bust, in mm.
 _UNITS = ((1.0, "millimetres"), (10.0, "centimetres"), (100.0, "decimetres"), (1000.0, "metres"))

@@ -168,7 +168,7 @@ class AzureDriver(Driver):
         return RawFrame(depth, self.camera, colour, self._number(seconds), seconds)
 
     def _number(self, seconds: float) -> int:
-        """Frames have no number: it is told by the device's clock, and always goes up."""
+        """The number of a frame, from the device's clock: frames carry none. It always increases."""
         if self._start_time is None:
             self._start_time = seconds
         self._sequence = max(round((seconds - self._start_time) * self.fps), self._sequence + 1)

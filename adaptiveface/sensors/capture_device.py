@@ -1,4 +1,4 @@
-"""OpenCV's VideoCapture, quiet and with the calibration that a colour camera without one is given."""
+"""OpenCV's VideoCapture without its messages, and a calibration for colour cameras that have none."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _level_lock, _quiet = threading.Lock(), 0
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """OpenCV and its FFmpeg say nothing on stderr: our own errors say what is wrong."""
+    """Silence OpenCV and its FFmpeg on stderr. Our own errors say what is wrong."""
     global _quiet, _level
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when FFmpeg is first used
     with _level_lock:  # the level is the process's: the first one in saves it, the last one out restores it
@@ -43,7 +43,7 @@ def quiet() -> Iterator[None]:
 def camera_of_view(width: int, height: int, field_of_view: float = FIELD_OF_VIEW) -> Camera:
     """A camera of ``width`` x ``height`` px with square pixels that sees ``field_of_view`` degrees.
 
-    Across the longer side: a phone held upright has its sensor turned, not another lens.
+    The angle is across the longer side: a phone held upright has turned its sensor, not changed its lens.
     """
     focal = max(width, height) / 2 / math.tan(math.radians(field_of_view) / 2)
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)

@@ -1,4 +1,4 @@
-"""Which live sensors there are, and the one that a text names."""
+"""List the live sensors, and open the one that a text names."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def _possible(kinds: Mapping[str, SensorKind]) -> str:
 
 
 def list_sensors() -> list[SensorInfo]:
-    """Every sensor that can be named, connected ones with their serial number; never fails on a missing driver."""
+    """Every sensor that can be named, connected ones with their serial number. A missing driver is no error."""
     return [info for name, kind in sensor_kinds().items() for info in _connected(name, kind)]
 
 
 def _connected(name: str, kind: SensorKind) -> list[SensorInfo]:
-    """One entry per connected device, or one that says why there is none."""
+    """One entry for each connected device, or a single one that says why there is none."""
     description = name
     try:
         driver = kind.load()

@@ -1,4 +1,4 @@
-"""What differs between sensors: a :class:`Driver`, the frames that it delivers, and what becomes of them."""
+"""What differs between sensors: a :class:`Driver` and the frames that it delivers."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Driver(ABC):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """What makes the driver of ``KIND:argument``, again for each reconnection.
+        """A function that makes the driver of ``KIND:argument``. It is called again for each reconnection.
 
         Raises :class:`ParameterError` or :class:`SensorError` where the argument names no device.
         """
@@ -108,7 +108,7 @@ def usable(raw: RawFrame) -> bool:
 
 
 def live_frame(raw: RawFrame) -> LiveFrame:
-    """What just arrived, in arrays of its own; NaN, infinite and negative depth become 0, no measurement."""
+    """The frame that just arrived, in arrays of its own. NaN, infinite and negative depth become 0 (no measurement)."""
     depth = np.array(raw.depth, np.float32)
     depth[~((depth > 0) & (depth < np.inf))] = 0
     colour = None if raw.colour is None else np.array(raw.colour, np.uint8)

@@ -1,4 +1,4 @@
-"""Vendors' recordings, played by a process of their own: a damaged file can crash or hang the vendor's library.
+"""Play vendors' recordings in a process of their own, because a damaged file can crash or hang the vendor's library.
 
 The child (:func:`main`) reads the file with the vendor's driver and writes messages to its standard output: a line of
 JSON, for a frame followed by the bytes of depth (float32 mm) and colour. The pipe holds it back while nobody reads.
@@ -35,9 +35,9 @@ PLAYERS = {
     ".bag": ("realsense", "RealSenseDriver", "RealSense"),
     ".mkv": ("azure", "AzureDriver", "Azure Kinect"),
 }
-#: Longest that a library may take to open a file, or to read a frame, s; no file that is well takes a tenth of it.
+#: Longest that a library may take to open a file, or to read a frame, s. Intact files take less than a tenth of it.
 PATIENCE_SECONDS = 20.0
-#: A longer line is none of the child's, bytes; no camera has a longer side, px.
+#: Longest line that the child writes, bytes, and longest side of an image, px.
 LONGEST_LINE, LONGEST_SIDE = 4096, 8192
 #: The kinds of messages, and what each one holds.
 _MESSAGES = {
@@ -129,7 +129,7 @@ class FilePlayer(Driver):
 
 
 def _environment() -> dict[str, str]:
-    """The child imports this very package, wherever it lies."""
+    """The child's environment, in which it imports this very package, wherever it lies."""
     home = str(Path(__file__).resolve().parents[2])
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (home, os.environ.get("PYTHONPATH"))))}
 
@@ -154,7 +154,7 @@ def main(path: Path) -> None:
 
 
 def _end_with_the_parent() -> None:
-    """The standard input ends when the parent does."""
+    """End the process when the standard input ends, as it does when the parent ends."""
     sys.stdin.buffer.read()
     os._exit(1)
 

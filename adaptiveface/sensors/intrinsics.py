@@ -1,4 +1,4 @@
-"""Calibrations as files state them: intrinsic.json, and matrices of nine numbers. Every reader of a file checks here."""
+"""Read and check calibrations in files: intrinsic.json, and matrices of nine numbers."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camer
     Parameters
     ----------
     path : Path
-        The file. Without an ``fps`` 30 is assumed, and said.
+        The file. Without an ``fps``, 30 is assumed, and a note says so.
     depth_scale : float, optional
-        What to take where the file names no ``depth_scale``. By default a file without one is refused, because nothing
-        else tells the unit of its depth images.
+        Used if the file names no ``depth_scale``. By default, such a file is refused, because nothing else tells the unit
+        of its depth images.
 
     Raises
     ------

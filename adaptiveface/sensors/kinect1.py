@@ -1,4 +1,4 @@
-"""Kinect v1 (Xbox 360, Kinect for Windows) through libfreenect, by ctypes; there are no wheels of its Python binding.
+"""Kinect v1 (Xbox 360, Kinect for Windows) through libfreenect, with ctypes: its Python binding has no wheels.
 
 The library registers depth to colour, in whole millimetres. The sensor measures an 11-bit disparity: neighbouring values
 are 1.4 mm apart at 700 mm and 2.9 mm at 1 m. A library that cannot register (fakenect) gives the disparity of the depth
@@ -27,7 +27,7 @@ LIBRARY_VARIABLE = "FREENECT_LIBRARY"
 TICKS = 60e6
 #: A picture further than this many frames from its depth is not the same moment.
 MAX_SKEW_FRAMES = 0.6
-#: A camera that gives nothing for so long is taken as unplugged, s.
+#: A camera that delivers nothing for this long counts as unplugged, s.
 PATIENCE = 3.0
 _NAMES = {"win32": ("freenect.dll",), "darwin": ("libfreenect.dylib", "libfreenect.0.dylib")}
 _CAMERA_ONLY, _MEDIUM, _RGB, _DEPTH_11_BIT, _REGISTERED = 2, 1, 0, 0, 4
@@ -128,7 +128,7 @@ class Kinect1Driver(Driver):
     """One Kinect v1, by its number or the first one.
 
     ``colour_camera``: calibration of depth registered to colour; ``depth_camera``: of the depth camera's own disparity.
-    Both are nominal, the device tells none.
+    Both are nominal, because the device reports none.
     """
 
     live, has_features, fps, depth_scale = True, False, float(FPS), 1000.0
@@ -228,7 +228,7 @@ class Kinect1Driver(Driver):
         return self._clock[stream] / TICKS
 
     def _pair(self) -> RawFrame | None:
-        """A frame where depth and colour of the same moment wait."""
+        """A frame, if depth and colour of the same moment have arrived."""
         found = self._waiting.take()
         if found is None:
             return None

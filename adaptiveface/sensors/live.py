@@ -1,4 +1,4 @@
-"""A live sensor: one thread owns the vendor's library, the reader gets the newest frame and never a stale one.
+"""A live sensor: one thread owns the vendor's library, and readers get the newest frame, never a stale one.
 
 A :class:`~adaptiveface.sensors.driver.Driver` is the part that differs between sensors. :class:`LiveSensor` runs it in a
 thread of its own, checks what it delivers, opens it again after it was unplugged, and hands the frames over.
@@ -81,7 +81,7 @@ class LiveSensor:
     def read(self, timeout: float | None = None) -> LiveFrame:
         """The newest frame that was not handed out yet, waiting up to ``timeout`` s for it.
 
-        By default a second for a sensor, and a minute for a recording, whose next frame surely comes. Raises
+        The default is a second for a sensor, and a minute for a recording, whose next frame is certain to come. Raises
         :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
         :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor failed with.
         """
@@ -209,14 +209,14 @@ class LiveSensor:
             self._changed.notify_all()
 
     def _disconnect(self, error: AdaptiveFaceError) -> None:
-        """The sensor is gone, and may come back."""
+        """Tell readers that the sensor is gone, and may come back."""
         with self._changed:
             self._drop_unread()
             self._connected = False
             self._frames.interrupt(error, SensorDisconnectedError(f"{self.name}: disconnected; waiting for it to come back"))
 
     def _finish(self, error: AdaptiveFaceError) -> None:
-        """There will be no other frame."""
+        """Tell readers that no other frame will come."""
         with self._changed:
             self._drop_unread()
             self._frames.end(error)
@@ -234,7 +234,7 @@ class LiveSensor:
 
 
 def _close_quietly(driver: Driver | None) -> None:
-    """A library whose sensor is gone often fails once more while it is torn down; that is not news."""
+    """Close a driver without complaint: a library whose sensor is gone often fails once more on closing."""
     try:
         if driver is not None:
             driver.close()

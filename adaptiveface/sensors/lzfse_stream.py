@@ -1,4 +1,4 @@
-"""LZFSE, bounded: the size that a stream unpacks to is read from its block headers before any memory is taken.
+"""Unpack LZFSE safely: the unpacked size is read from the block headers before any memory is allocated.
 
 Reference: the format's published reference implementation (github.com/lzfse/lzfse), block headers in lzfse_internal.h.
 """
@@ -37,7 +37,7 @@ def decompress(packed: bytes, size: int, name: str) -> bytes:
 
 
 def unpacked_size(packed: bytes, name: str) -> int:
-    """Bytes that the blocks say they unpack to; raises :class:`FrameError` for headers that do not add up."""
+    """The unpacked size in bytes, by the block headers. Raises :class:`FrameError` for inconsistent headers."""
     position, total = 0, 0
     try:
         while packed[position : position + 4] != _END:

@@ -1,7 +1,7 @@
-"""Whose recording a Matroska file (.mkv) is: Azure Kinect's recorder, or any other program that films.
+"""Tell recordings of Azure Kinect in Matroska files (.mkv) from plain videos.
 
-Both have the suffix. Azure's recorder writes tags K4A_... and attaches calibration.json; nobody else does. Only headers are
-read: the file's elements are walked from size to size, and the pictures passed over (RFC 8794, RFC 9559).
+Both have the same suffix. Only Azure's recorder writes tags K4A_... and attaches calibration.json. Only headers are read: the
+walk goes from element to element and skips the pictures (RFC 8794, RFC 9559).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The stream of a network camera that sends JPEG after JPEG (multipart/x-mixed-replace over HTTP), read with bounds.
 
-A decoder takes the memory that a picture's header asks for: 16,000 x 16,000 pixels are gigabytes. So headers are judged
-before anything is decoded, and nothing longer than a picture can be is waited for.
+A decoder allocates what a picture's header asks for: 16,000 x 16,000 pixels are gigabytes. Headers are therefore checked
+before anything is decoded, and no part may be longer than a picture can be.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class MjpegStream:
         return picture is not None, picture
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._response.close()
 
     def _part(self) -> bytes | None:
@@ -133,7 +133,7 @@ class MjpegStream:
 
 
 def open_mjpeg(address: str, name: str, timeout: float) -> MjpegStream | None:
-    """The stream at an http(s) address, or None where something else than JPEG after JPEG is there.
+    """Open the stream at an http(s) address; None if it is not one of JPEGs.
 
     ``timeout`` s for the connection and every read. Raises :class:`SensorError` for an address of single pictures, OSError
     where nobody answers.

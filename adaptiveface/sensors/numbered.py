@@ -16,7 +16,7 @@ from ..geometry.frame import RgbdFrame
 
 @dataclass(frozen=True)
 class Abilities:
-    """What a source may say about itself by an attribute of the same name; the default holds for one that does not."""
+    """What a source may declare about itself, in an attribute of the same name; otherwise the default holds."""
 
     fps: float = 30.0
     depth_scale: float | None = None  #: units per metre in which depth was measured
@@ -30,13 +30,13 @@ class Abilities:
 
     @classmethod
     def of(cls, source: Any) -> Self:
-        """Those of a ``source``; None has none."""
+        """The abilities of a ``source``. None has the defaults."""
         names = (entry.name for entry in fields(cls))
         return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)})
 
 
 class NumberedFrames(ABC):
-    """A sequence of frames; iteration passes over those that cannot be used."""
+    """A sequence of frames. Iteration skips those that cannot be used."""
 
     @abstractmethod
     def __len__(self) -> int:

@@ -115,7 +115,7 @@ class OakDriver(Driver):
         return RawFrame(np.asarray(depth.getFrame()), camera, rgb, depth.getSequenceNum(), seconds)
 
     def close(self) -> None:
-        """Stop the pipeline and let the device go."""
+        """Stop the pipeline and release the device."""
         pipeline, device, self._pipeline, self._device = self._pipeline, self._device, None, None
         try:
             if pipeline is not None and pipeline.isRunning():

@@ -27,13 +27,13 @@ from .driver import Driver, RawFrame
 from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner
 from .pairing import Pairing
 
-#: Size and rate asked for where the camera has them.
+#: Preferred size and rate.
 WIDTH, HEIGHT, FPS = 640, 480, 30
 #: A picture further than this many frames from its depth is not the same moment.
 MAX_SKEW_FRAMES = 0.6
-#: Playback that gives nothing for so long will give nothing any more, s.
+#: After this long without a frame, playback has ended, s.
 PLAYBACK_PATIENCE = 10.0
-#: A camera that gives nothing for so long is looked for, s.
+#: After this long without a frame, the camera is looked for, s.
 LIVE_PATIENCE = 1.0
 #: The library's driver for files plays frame by frame at this speed, each one when it is asked for.
 _FRAME_BY_FRAME = -1.0
@@ -218,7 +218,7 @@ class OpenNI2Driver(Driver):
         return image, index, timestamp
 
     def _pair(self) -> RawFrame | None:
-        """A frame where depth and colour of the same moment wait; a device without colour waits for none."""
+        """A frame, if depth and colour of the same moment have arrived. A device without colour needs none."""
         if self._colour is None:
             found = (self._waiting.depth.popleft(), None) if self._waiting.depth else None
         else:

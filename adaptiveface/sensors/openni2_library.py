@@ -46,7 +46,7 @@ DEPTH_TO_COLOUR = 1
 
 
 def by_the_owner(function: Callable) -> Callable:
-    """``function`` run by the thread that owns the library; whoever calls it waits. For the outermost calls only."""
+    """Let the thread that owns the library run ``function`` while the caller waits. For outermost calls only."""
 
     @wraps(function)
     def run(*arguments):
@@ -179,7 +179,7 @@ class OpenNI2Library:
             _started = True
 
     def devices(self) -> list[tuple[str, str]]:
-        """(URI, name) of every connected device; the recordings that were opened, which the library lists, too, not."""
+        """(URI, name) of every connected device. Opened recordings, which the library lists as well, are left out."""
         infos, count = POINTER(DeviceInfo)(), c_int()
         self.call("oniGetDeviceList", byref(infos), byref(count))
         listed = [infos[i] for i in range(count.value) if infos[i].name != b"oni File"]
@@ -279,7 +279,7 @@ class Stream:
         return bool(self._library.call("oniStreamIsPropertySupported", self.handle, name))
 
     def start(self) -> None:
-        """Let frames come."""
+        """Start the stream."""
         self._library.call("oniStreamStart", self.handle)
 
     def read(self) -> tuple[np.ndarray, int, float]:

@@ -1,4 +1,4 @@
-"""Frames seen the right way round: mirrored recordings are flipped, and those of a camera that lay on its side turned.
+"""Show frames the right way round: flip mirrored recordings, and turn those of a camera that lay on its side.
 
 Colour, depth, calibration and features change together, so that the frame stays what a real camera saw.
 """
@@ -86,7 +86,7 @@ def turned_camera(camera: Camera, quarters: int) -> Camera:
 class OrientedSource(NumberedFrames):
     """A source with numbered frames, each mirrored and then turned anticlockwise by ``quarters`` of a full turn.
 
-    Everything else is the source's own, but for its ground truth and its path: what lies there is the other way round.
+    Everything else is the source's own, except for its ground truth and its path, where everything is unturned.
     """
 
     def __init__(self, source, mirrored: bool = False, quarters: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""Depth and colour of the same moment, from a camera that delivers them apart."""
+"""Pair depth and colour of the same moment, for cameras that deliver them separately."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Pairing:
         self.colour: deque[tuple] = deque(maxlen=MOST_WAITING)
 
     def take(self) -> tuple[tuple, tuple] | None:
-        """The oldest depth that has its colour, and that; they and what is older are forgotten. None where none has."""
+        """The oldest pair of depth and colour, or None. The pair and everything older are forgotten."""
         for d, depth in enumerate(self.depth):
             for c, colour in enumerate(self.colour):
                 if abs(depth[-1] - colour[-1]) <= self.skew:

@@ -1,4 +1,4 @@
-"""Sources with numbered frames as drivers: recordings that play from start to end, and the synthetic live sensor."""
+"""Drivers that play numbered frames: recordings from start to end, and the synthetic live sensor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .driver import Driver, RawFrame
 from .numbered import Abilities
 
 NOISES = tuple(DEPTH_SCALES)
-#: The live synthetic performance: a neutral scan and expressions, rendered once and played forth and back.
+#: The live synthetic performance: a neutral scan and expressions, rendered once and played back and forth.
 NEUTRAL_FRAMES, EXPRESSION_FRAMES = 20, 70
 #: Frames that wait in the synthetic sensor until it is polled, as in the vendors' libraries.
 DEVICE_QUEUE = 8
@@ -24,7 +24,7 @@ def raw_frame(frame: RgbdFrame, sequence: int, timestamp: float) -> RawFrame:
 
 
 class PlaybackDriver(Driver):
-    """Plays a source with numbered frames as fast as it is read; broken frames count as lost by the device.
+    """Plays a source with numbered frames as fast as they are read. Broken frames count as lost by the device.
 
     ``broken``: the reason of each.
     """
@@ -61,8 +61,8 @@ class PlaybackDriver(Driver):
 class SyntheticDriver(Driver):
     """The synthetic sensor in real time: 30 frames a second with 2D features, for ever.
 
-    The frames are rendered in :meth:`open` (some seconds) and then played forth and back, so that the head never jumps.
-    Like a camera it does not wait: whoever polls too late misses frames (``DEVICE_QUEUE``).
+    The frames are rendered in :meth:`open` (some seconds) and then played back and forth, so that the head never jumps.
+    Like a camera, it does not wait: a reader that polls too late misses frames (``DEVICE_QUEUE``).
     ``frames``: a list that keeps the rendered frames for the next driver; ``clock`` returns seconds.
     """
 

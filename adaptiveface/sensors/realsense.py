@@ -26,7 +26,7 @@ from .driver import Driver, RawFrame
 WIDTH, HEIGHT, FPS = 640, 480, 30
 #: A picture taken longer than this before or after its depth is not the same moment, ms.
 MAX_SKEW_MS = 50.0
-#: Playback that gives nothing for so long has ended, whatever its status says, s.
+#: After this long without a frame, playback has ended, whatever its status says, s.
 PLAYBACK_PATIENCE = 10.0
 
 
@@ -171,6 +171,6 @@ class RealSenseDriver(Driver):
 
 
 def _skewed(depth, colour) -> bool:
-    """Whether the picture is of another moment: the SDK repeats the last one when the colour stream stalls."""
+    """Whether the picture is of another moment, as when the colour stream stalls and the SDK repeats the last one."""
     same_clock = depth.frame_timestamp_domain == colour.frame_timestamp_domain
     return same_clock and abs(depth.get_timestamp() - colour.get_timestamp()) > MAX_SKEW_MS

@@ -1,6 +1,6 @@
-"""``record`` and ``convert``: the frames of a sensor, as raw as they come, in the layout of a recording.
+"""``record`` and ``convert``: write the raw frames of a sensor in the layout of a recording.
 
-Pictures are compressed by a pool of threads while the next frame is waited for. Images appear whole or not at all and the
+A pool of threads compresses pictures while the next frame is awaited. Images appear whole or not at all and the
 tables grow row by row before them, so that the folder is a readable recording at any moment: killed in mid-frame, it ends
 with the last frame whose images were complete.
 """
@@ -22,7 +22,7 @@ from .recording import RecordingWriter
 
 #: Threads that compress images, and the frames that may wait for them (about 2 MB each).
 WRITERS, BACKLOG = 2, 90
-#: A sensor that is silent for so long ends the recording, s.
+#: A recording ends after this long without a frame, s.
 PATIENCE_SECONDS = 5.0
 #: Broken frames whose reasons are printed.
 REASONS = 5
@@ -100,7 +100,7 @@ class FrameRecorder:
 
 
 class _Explained:
-    """Turns an OSError, also one that was told already, into the package's error, after dropping what is still queued."""
+    """Turns an OSError into the package's error, after dropping what is still queued."""
 
     def __init__(self, recorder: FrameRecorder) -> None:
         self._recorder = recorder
@@ -191,7 +191,7 @@ def run_convert(args) -> int:
 
 
 def check_has_depth(sensor: LiveSensor) -> None:
-    """Raise :class:`SensorError` for a sensor without depth: its recording would be none."""
+    """Raise :class:`SensorError` for a sensor without depth, of which no recording can be made."""
     if sensor.colour_only:
         raise SensorError(
             f"{sensor.name}: no depth, and a recording is made of depth; record a video with any camera program, "

@@ -1,4 +1,4 @@
-"""iPhone TrueDepth live: the app Record3D streams by USB, the package ``record3d`` receives.
+"""iPhone TrueDepth live: the app Record3D streams over USB, and the package ``record3d`` receives.
 
 The stream has no clock and no frame numbers: frames are counted and timed as they arrive. The picture is scaled to the
 depth, and handed over the way round in which the app sends it.

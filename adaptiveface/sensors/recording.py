@@ -9,8 +9,8 @@
     intrinsics.csv           optional: frame,fx,fy,cx,cy (px): frames whose camera is not the one of intrinsic.json
 
 Numbers in file names and tables are those of the frames; the lowest one present is index 0. A number without files
-inside the range is a missing frame. What is wrong with the recording as a whole raises :class:`FileFormatError` on
-opening, what is wrong with one frame raises :class:`FrameError` on reading it.
+inside the range is a missing frame. A fault of the recording as a whole raises :class:`FileFormatError` on opening it; a
+fault of one frame raises :class:`FrameError` on reading that frame.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Recording(NumberedFrames):
     Attributes
     ----------
     camera : Camera
-        A frame has its own instead where ``intrinsics.csv`` lists one.
+        The calibration. Frames that ``intrinsics.csv`` lists have one of their own.
     fps : float
         Frames per second.
     depth_scale : float
@@ -224,7 +224,7 @@ class RecordingWriter:
             write_image(self.path / "color" / f"{number:05d}.{self.colour_format}", frame.colour)
 
     def close(self) -> None:
-        """Give the tables back; everything is on the disk already. A second time does nothing."""
+        """Close the tables. Everything is on the disk already; calling it again does nothing."""
         for table in (self._timestamps, self._features, self._irises, self._cameras):
             table.close()
 

@@ -1,4 +1,4 @@
-"""A numbered sequence of frames, and the one that a text names."""
+"""The interface of sources with numbered frames, and the function that opens one by name."""
 
 from __future__ import annotations
 

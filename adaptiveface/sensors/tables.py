@@ -23,10 +23,10 @@ FEATURE_COLUMNS = ("frame", "feature", "u", "v", "confidence")
 IRIS_COLUMNS = ("frame", "eye", "u", "v")
 #: The subject's eyes, in the order of :attr:`~adaptiveface.geometry.frame.Features2D.iris_centres`.
 EYES = ("left", "right")
-#: A table may name so many frames, whatever the number of images: what is left when a take is cut.
+#: Largest number of frames in a table. A take that was cut may have fewer images.
 _FREE_FRAMES, _MOST_PER_FRAME = 20_000, 4
 _MAX_LINE_BYTES = 100
-#: What a clock may show: nanoseconds since 1970 are 1.7e18.
+#: Largest value of a clock: nanoseconds since 1970 are 1.7e18.
 _MAX_SECONDS = 1e19
 _SLOT = {int(feature): slot for slot, feature in enumerate(FEATURE_IDS)}
 
@@ -48,7 +48,7 @@ def read_timestamps(path: Path, frames: range, fps: float) -> FrameTimes:
 
 
 def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
-    """Frame number -> features; None without the file. Features outside the 40 are passed over, NaN means not seen."""
+    """Frame number -> features; None without the file. Features other than the 40 are skipped, and NaN means not seen."""
     if not path.exists():
         return None
     found: dict[int, Features2D] = {}

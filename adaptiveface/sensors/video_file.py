@@ -15,7 +15,7 @@ from .matroska import is_plain_video
 from .video_probe import MAX_BYTES, too_large
 from .video_stream import pictures, read_index
 
-#: Suffixes taken for plain videos; .mkv unless Azure Kinect's recorder wrote it, whose depth must not be lost silently.
+#: Suffixes of plain videos. An .mkv of Azure Kinect's recorder is none: its depth must not be lost silently.
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".webm", ".mkv", ".wmv", ".mpg", ".mpeg", ".mts", ".3gp", ".flv", ".ogv")
 #: Of these FFmpeg knows the streams only after it has looked into them, and takes no limit for that.
 _LATE_STREAMS = (".mpg", ".mpeg", ".mts", ".flv")

@@ -1,8 +1,8 @@
-"""Opens a video in a process of its own whose memory is limited, before this one does.
+"""Open a video in a process with limited memory before this process opens it.
 
-Video decoders take what a file asks for. There they get at most :data:`MAX_BYTES`. Run as a program, with the address on the
-standard input, the exit status says how it went: 0 for a first picture, 1 for none, 2 for one that is too large or a limit
-that was reached. It stands alone, so that it starts fast.
+Video decoders allocate whatever a file asks for; in that process they get at most :data:`MAX_BYTES`. The process reads
+the address from the standard input. Its exit status is 0 for a first picture, 1 for none, and 2 for one that is too large
+or if a limit was reached. It imports nothing of the package, so that it starts fast.
 """
 
 import subprocess

@@ -1,7 +1,7 @@
-"""The picture stream of a video file through PyAV: which frames play, when, and their pictures in order.
+"""Read the video stream of a file with PyAV: which frames are shown, when, and their pictures in order.
 
-OpenCV states the number of frames that the index lists, edit lists and damage or not, and one rate for all of them. FFmpeg's
-demuxer knows better: the packets say when each frame is shown and which ones the edit list leaves out.
+OpenCV reports the number of frames in the index, whatever edit lists and damage leave of them, and a single rate. FFmpeg's
+demuxer knows better: its packets say when each frame is shown and which ones the edit list leaves out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..runtime.timing import DEFAULT_RATE, frame_rate, standard_rate
 
 #: The last frames are decoded to find where a file ends, unless they are more than this and nothing is missing.
 MAX_TAIL = 600
-#: A file that names other files or addresses (a play list under a video's name) is none of ours.
+#: Files that name other files or addresses (a playlist under a video's name) are refused.
 _FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,asf,mpegts,mpeg,mpegvideo,flv,ogg"
 _ONLY = {"protocol_whitelist": "file", "format_whitelist": _FORMATS}
 #: FFmpeg's own limit: it also holds while the streams are looked at, and where the size changes within a film.

@@ -1,7 +1,7 @@
 """A colour camera through OpenCV: ``webcam[:INDEX]``, or ``webcam:http://...`` for the stream of a network camera.
 
-Colour only: depth is 0 everywhere, and tracking is the degraded mode of ``tracking/colour_tracker.py``. What cannot be
-asked of such a camera is assumed: its field of view, and the time of a picture, which is that of its arrival.
+Colour only: depth is 0 everywhere, and tracking is the degraded mode of ``tracking/colour_tracker.py``. Such a
+camera does not report its field of view, which is assumed, nor when a picture was taken, for which its arrival is used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .video_probe import MAX_BYTES, MAX_PIXELS, too_large
 
 #: Where Linux lists its cameras, and what it tells about them.
 DEVICES, ABOUT = Path("/dev"), Path("/sys/class/video4linux")
-#: Failed reads in a row that mean that the camera is gone: a single damaged picture is none.
+#: So many failed reads in a row mean that the camera is gone; a single one may be a damaged picture.
 MOST_FAILURES, RETRY_SECONDS = 5, 0.02
 #: Most cameras tried by index where the system has no list of them.
 MOST_INDICES = 4
@@ -121,7 +121,7 @@ class WebcamDriver(Driver):
         self.fps = rate if 1.0 <= rate <= 240.0 else 30.0
 
     def _open_mjpeg(self, address: str) -> bool:
-        """Whether it is a camera of JPEG after JPEG, as most are; anything else OpenCV has to try."""
+        """Open an MJPEG stream, as most cameras send; whether it is one. OpenCV tries anything else."""
         if not address.startswith(("http://", "https://")):
             return False
         try:
@@ -133,7 +133,7 @@ class WebcamDriver(Driver):
         return self._capture is not None
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next picture. OpenCV's wait cannot be shortened: it lasts as long as the camera takes for one."""
+        """The next picture. OpenCV's wait cannot be shortened: it lasts until the camera delivers a picture."""
         with quiet():
             found, picture = self._capture.read()
         if not found or picture is None:

@@ -1,4 +1,4 @@
-"""What every live thread needs: a body that runs until it is told to stop, and a slot for the newest item that it makes."""
+"""What every live thread needs: a body that runs until it is told to stop, and a slot for its newest item."""
 
 from __future__ import annotations
 
