@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from mediapipe.tasks.python import vision
+from observe import gather
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from adaptiveface.geometry.frame import FEATURE_IDS, MEDIAPIPE_INDICES
-from adaptiveface.landmarks import FeatureDetector
 from adaptiveface.synthetic.sensor import SyntheticSensor
 
 #: Tuned on performers 2000 and 2012 only; results are reported on 1000 and above, which are none of these.
@@ -36,22 +36,13 @@ MOUTH = (13, 14)
 def observe(seed: int, cache: Path | None) -> dict[str, np.ndarray]:
     """mesh (F, 478, 3) px, exact (F, 40, 2) px, NaN where hidden, neutral (F,) bool of every second frame of a performer."""
     kept = None if cache is None else cache / f"{seed}.npz"
-    if kept is None or not kept.exists():
-        sensor = SyntheticSensor(seed, "none", 40, 300, repeats=1, feature_noise=0.0)
-        detector, rows = FeatureDetector(), {name: [] for name in ("index", "mesh", "exact", "conf")}
-        for index in range(0, len(sensor), 2):
-            frame = sensor.read(index)
-            for mesh in detector.detect_meshes(frame.colour)[:1]:
-                values = index, mesh, frame.features.pixels, frame.features.confidence
-                for name, value in zip(rows, values, strict=True):
-                    rows[name].append(value)
-        detector.close()
-        data = {name: np.array(values) for name, values in rows.items()}
-        if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            np.savez(kept, **data)
-    else:
-        data = np.load(kept, allow_pickle=False)
+    data = gather(
+        lambda: SyntheticSensor(seed, "none", 40, 300, repeats=1, feature_noise=0.0),
+        range(0, 340, 2),
+        ("index", "mesh", "exact", "conf"),
+        lambda frame, face: (frame.index, face.mesh, frame.features.pixels, frame.features.confidence),
+        kept,
+    )
     exact = np.where(data["conf"][..., None] > 0, data["exact"], np.nan)
     return dict(mesh=data["mesh"], exact=exact, neutral=data["index"] < 40)
 

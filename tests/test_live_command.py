@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +20,7 @@ from adaptiveface import lab
 from adaptiveface.cli import main
 from adaptiveface.errors import RecordingError, SensorDisconnectedError
 from adaptiveface.live import recorder as recorder_module
+from adaptiveface.live import status
 from adaptiveface.model.actor import Actor
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, kinds
@@ -189,3 +191,21 @@ def test_ctrl_c_ends_cleanly_and_everything_is_saved(take, tmp_path):
         process.kill()
     assert process.returncode == 0 and "ended by Ctrl-C" in out and err == ""
     assert len(Result.load(tmp_path / "r.npz")) > 0 and len(Recording(tmp_path / "rec")) >= 60
+
+
+def test_the_status_line_is_rewritten_in_a_terminal_and_rare_in_a_log(monkeypatch):
+    class Terminal(StringIO):
+        def isatty(self):
+            return True
+
+    clock = iter(range(100))
+    monkeypatch.setattr(status.time, "monotonic", lambda: next(clock))
+    terminal, log = Terminal(), StringIO()
+    for stream in (terminal, log):
+        line = status.StatusLine(stream)
+        for number in range(8):
+            line.show(f"frame {number}")
+        line.end("8 frames")
+    assert log.getvalue() == "frame 0\nframe 5\n8 frames\n"
+    assert terminal.getvalue().count("\n") == 1 and terminal.getvalue().endswith("\r8 frames\n")
+    assert all(f"\rframe {number}" in terminal.getvalue() for number in range(8))

@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from ..files import replacing
-from ..report.page import Link, page, table
+from ..report.page import Link, html, page
 from .tables import columns_of
 
 #: Columns of the index, where the rows have them; the tables hold everything.
@@ -40,13 +40,12 @@ def write_index(folder: Path, rows: Sequence[dict], jobs: int) -> Path:
     shown = [(name, form) for name, form in _SHOWN if name in columns]
     files = [f"{name}{suffix}" for suffix in (".csv", ".parquet") for name in ("recordings", "frames")]
     files = [name for name in files if (folder / name).exists()]
-    links = ", ".join(f'<a href="{name}">{name}</a>' for name in files)
     waiting = jobs - len(rows)
     summary = f"{len(done)} of {jobs} done, {len(failed)} failed" + (f", {waiting} not reached" if waiting else "")
-    body = [f"<h1>Batch</h1><p>{summary}. Tables: {links}.</p>", _failures(failed, swept), _results(folder, done, swept, shown)]
+    body = html().batch(summary, files, _failures(failed, swept), _results(folder, done, swept, shown))
     path = folder / "index.html"
     with replacing(path) as temporary:
-        temporary.write_text(page("Batch of recordings", body), encoding="utf-8")
+        temporary.write_text(page("Batch of recordings", [body]), encoding="utf-8")
     return path
 
 
@@ -54,7 +53,7 @@ def _failures(rows: Sequence[dict], swept: Sequence[str]) -> str:
     if not rows:
         return ""
     lines = [[row["recording"], *(str(row.get(name, "")) for name in swept), row["reason"]] for row in rows]
-    return "<h2>Failed</h2>" + table(["recording", *swept, "reason"], lines, kind="text")
+    return html().table(["recording", *swept, "reason"], lines, kind="text")
 
 
 def _results(folder: Path, rows: Sequence[dict], swept: Sequence[str], shown) -> str:
@@ -68,4 +67,4 @@ def _results(folder: Path, rows: Sequence[dict], swept: Sequence[str], shown) ->
         values = [form.format(row[key]) if row.get(key) not in (None, "") else "" for key, form in shown]
         lines.append([name, *(str(row.get(key, "")) for key in swept), *values])
     heads = ["recording", *swept, *(_TITLES.get(name, name) for name, _ in shown)]
-    return "<h2>Done</h2>" + table(heads, lines)
+    return html().table(heads, lines)

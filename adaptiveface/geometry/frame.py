@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..livelink.convention import ARKIT_NAMES
 from .camera import Camera
 
 #: iBUG-68 numbers of the 40 features: brows, eye contours, lips (paper, section 1).
@@ -28,60 +29,8 @@ IRIS_CENTRES = (473, 468)
 FEATURE_REGIONS = np.array(["brows"] * 8 + ["eyes"] * 12 + ["lips"] * 20)
 
 
-#: The expression scores that a detector returns beside its landmarks: ARKit's curves but for the tongue, in this order.
-SCORE_NAMES = (
-    "browDownLeft",
-    "browDownRight",
-    "browInnerUp",
-    "browOuterUpLeft",
-    "browOuterUpRight",
-    "cheekPuff",
-    "cheekSquintLeft",
-    "cheekSquintRight",
-    "eyeBlinkLeft",
-    "eyeBlinkRight",
-    "eyeLookDownLeft",
-    "eyeLookDownRight",
-    "eyeLookInLeft",
-    "eyeLookInRight",
-    "eyeLookOutLeft",
-    "eyeLookOutRight",
-    "eyeLookUpLeft",
-    "eyeLookUpRight",
-    "eyeSquintLeft",
-    "eyeSquintRight",
-    "eyeWideLeft",
-    "eyeWideRight",
-    "jawForward",
-    "jawLeft",
-    "jawOpen",
-    "jawRight",
-    "mouthClose",
-    "mouthDimpleLeft",
-    "mouthDimpleRight",
-    "mouthFrownLeft",
-    "mouthFrownRight",
-    "mouthFunnel",
-    "mouthLeft",
-    "mouthLowerDownLeft",
-    "mouthLowerDownRight",
-    "mouthPressLeft",
-    "mouthPressRight",
-    "mouthPucker",
-    "mouthRight",
-    "mouthRollLower",
-    "mouthRollUpper",
-    "mouthShrugLower",
-    "mouthShrugUpper",
-    "mouthSmileLeft",
-    "mouthSmileRight",
-    "mouthStretchLeft",
-    "mouthStretchRight",
-    "mouthUpperUpLeft",
-    "mouthUpperUpRight",
-    "noseSneerLeft",
-    "noseSneerRight",
-)
+#: The expression scores that a detector returns beside its landmarks: ARKit's curves but for the tongue, in alphabetical order.
+SCORE_NAMES = tuple(sorted(set(ARKIT_NAMES) - {"tongueOut"}))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from ..errors import (
     SensorTimeoutError,
 )
 from ..landmarks import FeatureDetector, Upright
+from ..runtime.closing import Closing
 from ..sensors.live import LiveFrame, LiveSensor
 from ..sensors.worker import POLL_SECONDS, Latest, Worker, packaged
 
@@ -21,7 +22,7 @@ from ..sensors.worker import POLL_SECONDS, Latest, Worker, packaged
 CLOSE_SECONDS = 0.9
 
 
-class FeatureFeed:
+class FeatureFeed(Closing):
     """Frames of ``sensor`` with 2D features, found in a thread of its own; a context manager. The sensor stays open.
 
     Frames that bring features pass unchanged, unless a ``detector`` is given or ``always`` is set: then every colour image
@@ -60,12 +61,6 @@ class FeatureFeed:
         """Stop the thread, within a second; calling it again does nothing. The sensor is left open."""
         self._frames.close()
         self._worker.join(CLOSE_SECONDS)
-
-    def __enter__(self) -> FeatureFeed:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     def _fresh(self, frame: LiveFrame) -> bool:
         """Whether a frame may be handed out; counts it as dropped where it is too old."""

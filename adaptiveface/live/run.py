@@ -10,6 +10,7 @@ from os import PathLike
 from ..errors import AdaptiveFaceError, TrackingError
 from ..model.actor import Actor
 from ..parameters import Parameters
+from ..runtime.closing import Closing
 from ..sensors.catalogue import open_sensor
 from ..sensors.live import LiveFrame, LiveSensor
 from ..sensors.worker import Worker, packaged
@@ -26,7 +27,7 @@ OPENING, SCANNING, BUILDING, STARTING, TRACKING = "opening", "scanning", "buildi
 FAILED, CLOSED = "failed", "closed"
 
 
-class LiveRun:
+class LiveRun(Closing):
     """A sensor (an open one, or a name for :func:`open_sensor`) and everything behind it; a context manager.
 
     ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``state`` is one of
@@ -164,12 +165,6 @@ class LiveRun:
         self._worker.join(CLOSE_SECONDS)
         self._release()
         self.state = CLOSED
-
-    def __enter__(self) -> LiveRun:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     # ---- the worker's thread, which ends where the session begins --------------------------------------------------
     def _start(self, work: Callable[[], None]) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import time
+
+from tqdm import tqdm
 
 #: Seconds between two lines where the output is no terminal, and between two updates where it is.
 LOG_SECONDS, UPDATE_SECONDS = 5.0, 0.1
@@ -15,29 +16,28 @@ class StatusLine:
 
     def __init__(self, stream=None) -> None:
         self._stream = stream or sys.stdout
-        self._terminal = self._stream.isatty()
-        self._next, self._open = 0.0, False
+        self._bar: tqdm | None = None  # made on first need, because it writes to the terminal
+        self._next = 0.0
 
     def show(self, text: str) -> None:
         """Show ``text`` in place of what was shown before, unless that was just now."""
         now = time.monotonic()
         if now < self._next:
             return
-        self._next = now + (UPDATE_SECONDS if self._terminal else LOG_SECONDS)
-        if self._terminal:
-            width = shutil.get_terminal_size().columns - 1
-            self._stream.write(f"\r{text[:width]:<{width}}")
-            self._open = True
-        else:
-            self._stream.write(f"{text}\n")
-        self._stream.flush()
+        terminal = self._stream.isatty()
+        self._next = now + (UPDATE_SECONDS if terminal else LOG_SECONDS)
+        if not terminal:
+            print(text, file=self._stream, flush=True)
+            return
+        if self._bar is None:
+            self._bar = tqdm(file=self._stream, bar_format="{desc}", dynamic_ncols=True, leave=False)
+        self._bar.set_description_str(text)
 
     def end(self, text: str = "") -> None:
         """Write a line that stays; without ``text``, only clear the one that is shown."""
-        if self._open:
-            width = shutil.get_terminal_size().columns - 1
-            self._stream.write("\r" + " " * width + "\r")
-            self._open = False
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
         if text:
-            self._stream.write(f"{text}\n")
+            print(text, file=self._stream)
         self._stream.flush()

@@ -11,6 +11,7 @@ from ..errors import FrameError, TrackingError
 from ..geometry.frame import Features2D, RgbdFrame
 from ..landmarks import FeatureDetector, Upright
 from ..landmarks.irises import IrisFinder
+from ..runtime.closing import Closing
 from ..sensors import FrameSource
 from ..sensors.numbered import Abilities
 from ..sensors.orientation import turned
@@ -29,7 +30,7 @@ class _Remembered:
     frame: RgbdFrame | None
 
 
-class FrameReader:
+class FrameReader(Closing):
     """Reads the frames of a source with their 2D features, and keeps count of the broken ones.
 
     A context manager, which closes the detectors that it made.
@@ -66,13 +67,8 @@ class FrameReader:
         self.skipped: dict[int, str] = {}
         self.reads = 0
 
-    def __enter__(self) -> FrameReader:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._close()
-
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Close the detectors that were made here."""
         if self._own_detector is not None:
             self._own_detector.close()
         if self._irises is not None:
@@ -105,7 +101,7 @@ class FrameReader:
         """
         self._remember, self._abilities = False, Abilities.of(self.source)
         if not self._in_order:
-            self._close()
+            self.close()
             if self._own_detector is not None:
                 self.detector = self._own_detector = None
             self._upright = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -19,6 +19,9 @@ from ..tracking.held_out import BAD
 from ..tracking.types import SampleState
 from .context import Spans
 from .page import INK, inline_svg
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 BLUE, ORANGE, GREEN, VERMILLION, SKY, PURPLE, GREY = (
     "#0072b2",
@@ -71,7 +74,7 @@ def _figure(height: float, rows: int = 1, ratios: Sequence[float] | None = None,
     return figure, axes
 
 
-def _svg(figure: Figure, name: str) -> str:
+def _svg(figure: Figure, name: str) -> Markup:
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None}, facecolor="none")
     return inline_svg(stream.getvalue(), name)
@@ -112,7 +115,7 @@ def _top(values, default: float = 1.0) -> float:
     return float(np.percentile(finite, 99.8)) * 1.15 + 1e-6 if finite.size else default
 
 
-def stage_timings(result: Result) -> str:
+def stage_timings(result: Result) -> Markup:
     """Median of every stage as a bar, its 95th percentile as a whisker, the paper's figure as a diamond; ms."""
     with matplotlib.rc_context(_STYLE):
         names = result.stage_names
@@ -138,7 +141,7 @@ def stage_timings(result: Result) -> str:
         return _svg(figure, "timings")
 
 
-def coefficients(result: Result, limits: BlendshapeParameters, spans: Spans = ()) -> str:
+def coefficients(result: Result, limits: BlendshapeParameters, spans: Spans = ()) -> Markup:
     """Every coefficient over time as one heat map, on the fixed range of its bounds."""
     with matplotlib.rc_context(_STYLE):
         count = result.coefficients.shape[1]
@@ -165,7 +168,7 @@ def coefficients(result: Result, limits: BlendshapeParameters, spans: Spans = ()
         return _svg(figure, "coefficients")
 
 
-def adaptation(result: Result, spans: Spans = ()) -> str:
+def adaptation(result: Result, spans: Spans = ()) -> Markup:
     """Figure 11: mean distance of v2 from the anchor space and from the adaptive space before the frame's update, mm."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
@@ -179,7 +182,7 @@ def adaptation(result: Result, spans: Spans = ()) -> str:
         return _svg(figure, "adaptation")
 
 
-def held_out(result: Result, spans: Spans = ()) -> str:
+def held_out(result: Result, spans: Spans = ()) -> Markup:
     """Error of the held-out landmarks over time, by region, % of the eyes' distance."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
@@ -194,7 +197,7 @@ def held_out(result: Result, spans: Spans = ()) -> str:
         return _svg(figure, "held_out")
 
 
-def learning(result: Result, spans: Spans = ()) -> str:
+def learning(result: Result, spans: Spans = ()) -> Markup:
     """What became of each frame as a training sample, and the number of PCA updates so far."""
     with matplotlib.rc_context(_STYLE):
         figure, (states, updates) = _figure(2.9, rows=2, ratios=(1, 2.4))
@@ -219,7 +222,7 @@ def learning(result: Result, spans: Spans = ()) -> str:
         return _svg(figure, "learning")
 
 
-def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> str:
+def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> Markup:
     """Surface error and motion error of the first and the last stage over time, mm; timestamps (F,) of its frames."""
     with matplotlib.rc_context(_STYLE):
         figure, (surface, motion) = _figure(4.6, rows=2)
@@ -248,7 +251,7 @@ def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> str:
         return _svg(figure, "errors")
 
 
-def coefficient_errors(known: KnownCoefficients) -> str:
+def coefficient_errors(known: KnownCoefficients) -> Markup:
     """Root mean square error of every expression, initial beside re-solved."""
     with matplotlib.rc_context(_STYLE):
         initial, resolved = (known.rms_by_expression(name) for name in (INITIAL, RESOLVED))
@@ -266,7 +269,7 @@ def coefficient_errors(known: KnownCoefficients) -> str:
         return _svg(figure, "coefficient-errors")
 
 
-def known_curves(known: KnownCoefficients, count: int = 4) -> str:
+def known_curves(known: KnownCoefficients, count: int = 4) -> Markup:
     """The expressions that move most over time: the truth, initial and re-solved."""
     with matplotlib.rc_context(_STYLE):
         chosen = sorted(np.argsort(-known.truth.std(axis=0))[:count])
@@ -283,7 +286,7 @@ def known_curves(known: KnownCoefficients, count: int = 4) -> str:
         return _svg(figure, "known-curves")
 
 
-def step_responses(fps: float) -> str:
+def step_responses(fps: float) -> Markup:
     """What every smoothing makes of a step."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.7)

@@ -6,36 +6,35 @@ import base64
 import io
 import re
 from collections.abc import Sequence
-from html import escape
+from functools import cache
 from importlib.resources import files
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
 #: Stands for the page's text colour in charts.
 INK = "#010203"
 
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""
+
+@cache
+def html() -> Any:
+    """The macros of ``assets/report.html``, which return ``Markup`` and escape everything else."""
+    from jinja2 import Environment, PackageLoader
+
+    loader = PackageLoader("adaptiveface", "assets")
+    return Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("report.html").module
 
 
-def page(title: str, sections: Sequence[str]) -> str:
+def page(title: str, sections: Sequence[Markup]) -> str:
     """A whole self-contained HTML document."""
+    from markupsafe import Markup
+
     style = (files("adaptiveface") / "assets" / "report.css").read_text(encoding="utf-8")
-    return _PAGE.format(title=escape(title), style=style, body="\n".join(sections))
+    return str(html().page(title, Markup(style), sections))
 
 
 def image_uri(pixels: np.ndarray, quality: int = 82) -> str:
@@ -53,37 +52,21 @@ def animation_uri(frames: Sequence[np.ndarray], milliseconds: int, quality: int 
     return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
-def image(pixels_or_uri, alt: str, width: int | None = None) -> str:
+def image(pixels_or_uri, alt: str, width: int | None = None) -> Markup:
     """An ``<img>`` of pixels or of a data URI."""
     uri = pixels_or_uri if isinstance(pixels_or_uri, str) else image_uri(pixels_or_uri)
-    size = f' width="{width}"' if width else ""
-    return f'<img src="{uri}" alt="{escape(alt)}"{size}>'
+    return html().image(uri, alt, width)
 
 
-def figure(content: str, caption: str = "") -> str:
-    """A ``<figure>`` with an optional caption."""
-    return f"<figure>{content}{f'<figcaption>{escape(caption)}</figcaption>' if caption else ''}</figure>"
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], strong: Sequence[int] = (), kind: str = "") -> str:
-    """An HTML table of plain text cells; the rows numbered in ``strong`` are set bold. Cells may be ``Changed`` or ``Link``."""
-    head = "".join(f"<th>{escape(name)}</th>" for name in header)
-    body = []
-    for number, row in enumerate(rows):
-        cells = "".join(_cell(cell) for cell in row)
-        body.append(f"<tr{' class=strong' if number in strong else ''}>{cells}</tr>")
-    return f'<div class="scroll"><table class="{kind}"><tr>{head}</tr>{"".join(body)}</table></div>'
-
-
-def _cell(cell: str) -> str:
-    text = escape(str(cell))
-    if isinstance(cell, Link):
-        text = f'<a href="{escape(cell.address, quote=True)}">{text}</a>'
-    return f"<td{' class=changed' if isinstance(cell, Changed) else ''}>{text}</td>"
+def figure(pixels: np.ndarray, caption: str, width: int | None = None, alt: str | None = None) -> Markup:
+    """A ``<figure>`` of pixels with a caption."""
+    return html().figure(image(pixels, caption if alt is None else alt, width), caption)
 
 
 class Changed(str):
     """A table cell whose value differs from the default."""
+
+    changed = True
 
 
 class Link(str):
@@ -98,14 +81,16 @@ class Link(str):
         return cell
 
 
-def inline_svg(text: str, prefix: str) -> str:
+def inline_svg(text: str, prefix: str) -> Markup:
     """A Matplotlib SVG made fit for inlining: prolog, metadata and namespaces dropped, ids made unique by ``prefix``.
 
     ``INK`` becomes ``currentColor``, so that axes and text follow the page's light or dark theme.
     """
+    from markupsafe import Markup
+
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
     text = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", text)
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
     text = re.sub(r'(href="|url\()#', rf"\1#{prefix}-", text)
-    return text.replace(INK, "currentColor")
+    return Markup(text.replace(INK, "currentColor"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..evaluation.coefficients import INITIAL, PLAIN, RESOLVED, KnownCoefficients
@@ -15,26 +17,25 @@ from . import charts, page, pictures
 from .context import Context
 from .moments import expressive_frames
 
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
 _BACKDROP, _SIZE, _YAW = (52, 58, 68), 230, 14.0
 #: The first frames of a run still find their pose and coefficients: they do not count as jitter.
 _SETTLING, _FEWEST_STILL = 2, 8
 
 
-def section(context: Context, character: Character, known: KnownCoefficients | None, still_frames: int) -> str:
+def section(context: Context, character: Character, known: KnownCoefficients | None, still_frames: int) -> Markup | str:
     """Figure 8 on a character, the error of the coefficients where they are known, jitter and lag of each smoothing.
 
     ``still_frames``: how many leading frames show a still face (0: none that is known of).
     """
     if not context.result.tracked.any():
         return ""
-    return (
-        "<h2>Retargeting</h2><p>What the performance looks like on another face (section 6): driven by the coefficients "
-        "of the initial fit to the depth map, and by those solved once more from the final mesh.</p>"
-        f"{_faces(context, character)}{_errors(known)}{_smoothing(context, still_frames)}"
-    )
+    return page.html().retargeting([_faces(context, character), _errors(known), _smoothing(context, still_frames)])
 
 
-def _faces(context: Context, character: Character, count: int = 3) -> str:
+def _faces(context: Context, character: Character, count: int = 3) -> Markup:
     result, actor = context.result, context.actor
     candidates = expressive_frames(result, 3 * count, spacing=6)
     differ = np.abs(result.coefficients - result.coefficients_initial).sum(axis=1)
@@ -47,19 +48,9 @@ def _faces(context: Context, character: Character, count: int = 3) -> str:
         images = [(mesh, f"actor, {result.timestamps[k]:.2f} s")]
         for shape, text in _driven(result, actor, character, k, v4):
             images.append((portrait(character, shape, _SIZE, yaw=_YAW, background=_BACKDROP), text))
-        cells = "".join(page.figure(page.image(pixels, f"{character.name}: {text}"), text) for pixels, text in images)
-        rows.append(f'<div class="row">{cells}</div>')
-    with_correctives = (
-        "; last, with the part of the final mesh that the blendshapes cannot express (v4 - v1) carried over by "
-        "deformation transfer, which section 8 of the paper proposes"
-        if character.shares_topology(actor.triangles)
-        else ""
-    )
-    return (
-        f'<h3>Frames where the two differ, on the {page.escape(character.name)}</h3><p class="soft">As in the paper\'s '
-        f"figure 8: the final mesh of the actor, the initial coefficients, the re-solved ones{with_correctives}.</p>"
-        f'<div class="rows">{"".join(rows)}</div>'
-    )
+        cells = [page.figure(pixels, text, alt=f"{character.name}: {text}") for pixels, text in images]
+        rows.append(page.html().figures("row", cells))
+    return page.html().driven_faces(character.name, character.shares_topology(actor.triangles), rows)
 
 
 def _driven(result, actor, character: Character, k: int, v4: np.ndarray) -> list[tuple[np.ndarray, str]]:
@@ -76,26 +67,19 @@ def _driven(result, actor, character: Character, k: int, v4: np.ndarray) -> list
     return out
 
 
-def _errors(known: KnownCoefficients | None) -> str:
+def _errors(known: KnownCoefficients | None) -> Markup | str:
     if known is None:
         return ""
     initial, resolved = known.rms(INITIAL), known.rms(RESOLVED)
     better = int((known.rms_by_expression(RESOLVED) < known.rms_by_expression(INITIAL)).sum())
     change = f"{abs(1 - resolved / initial):.0%} {'lower' if resolved < initial else 'higher'}"
     rows = [[name, f"{known.rms(name):.4f}"] for name in (INITIAL, PLAIN, RESOLVED)]
-    return (
-        "<h3>Against known coefficients</h3><p>The performer once more, now with a script of nothing but coefficients, so "
-        f"that the truth is known for every one of {len(known.truth)} frames. The error (root mean square over frames and "
-        f"expressions) of the re-solved coefficients is {change} than that of the initial ones: {resolved:.3f} instead of "
-        f"{initial:.3f}; {better} of {len(known.names)} expressions come out better. The plain fit is the paper's re-solve; "
-        "ours prefers few expressions.</p>"
-        f"{page.table(('coefficients', 'rms error'), rows, strong=(2,))}"
-        f'<div class="chart">{charts.coefficient_errors(known)}</div>'
-        f'<div class="chart">{charts.known_curves(known)}</div>'
-    )
+    table = page.html().table(("coefficients", "rms error"), rows, (2,))
+    drawn = charts.coefficient_errors(known), charts.known_curves(known)
+    return page.html().known_coefficients(known, initial, resolved, change, better, table, drawn)
 
 
-def _smoothing(context: Context, still_frames: int) -> str:
+def _smoothing(context: Context, still_frames: int) -> Markup | str:
     result = context.result
     still = [k for k in range(_SETTLING, min(still_frames, len(result))) if result.tracked[k]]
     if len(still) < _FEWEST_STILL:
@@ -103,10 +87,5 @@ def _smoothing(context: Context, still_frames: int) -> str:
     fps = frame_rate(result.timestamps)
     costs = smoothing_costs(result.coefficients[still].astype(float), fps)
     rows = [[c.name, f"{c.jitter:.4f}", f"{c.lag:.0f} ms", f"{c.overshoot:.0%}"] for c in costs]
-    return (
-        "<h3>Smoothing: jitter against lag</h3><p>Jitter: standard deviation of the re-solved coefficients over the "
-        f"{len(still)} frames of the still face at the beginning. Lag: how much later half of a step is passed. Overshoot: "
-        "by how much of its height the step is exceeded.</p>"
-        f"{page.table(('filter', 'jitter', 'lag', 'overshoot'), rows)}"
-        f'<div class="chart">{charts.step_responses(fps)}</div>'
-    )
+    table = page.html().table(("filter", "jitter", "lag", "overshoot"), rows)
+    return page.html().smoothing(len(still), table, charts.step_responses(fps))

@@ -16,6 +16,7 @@ from ..errors import (
     SensorError,
     SensorTimeoutError,
 )
+from ..runtime.closing import Closing
 from .driver import Driver, LiveFrame, RawFrame, live_frame, usable
 from .orientation import mirrored
 from .worker import POLL_SECONDS, Latest, Worker, packaged
@@ -30,7 +31,7 @@ LIVE_SECONDS, FILE_SECONDS = 1.0, 60.0
 RESTART_GAP = 100
 
 
-class LiveSensor:
+class LiveSensor(Closing):
     """Frames of one sensor; a context manager, and an iterator until the end of the recording or :meth:`close`.
 
     ``make_driver`` returns a fresh driver, also for each reconnection; ``max_age`` s: an older frame is dropped rather
@@ -129,12 +130,6 @@ class LiveSensor:
         """Stop the thread and release the sensor, within half a second; calling it again does nothing."""
         self._frames.close()
         self._worker.join(CLOSE_SECONDS)
-
-    def __enter__(self) -> LiveSensor:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     def __iter__(self) -> Iterator[LiveFrame]:
         while not self._frames.closed:

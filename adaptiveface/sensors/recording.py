@@ -25,6 +25,7 @@ from ..errors import FileFormatError, FrameError
 from ..files import GrowingTable, replacing
 from ..geometry.camera import Camera
 from ..geometry.frame import RgbdFrame
+from ..runtime.closing import Closing
 from .images import read_colour, read_depth, write_image
 from .intrinsics import check_rate_and_scale, intrinsics_json, read_intrinsics
 from .numbered import NumberedFrames
@@ -152,7 +153,7 @@ class Recording(NumberedFrames):
         return read_colour(self._colour[number], self.camera)
 
 
-class RecordingWriter:
+class RecordingWriter(Closing):
     """Writes frames in the layout that :class:`Recording` reads; every image appears whole or not at all.
 
     The tables, timestamps.csv and (where any frame has them) features.csv and irises.csv, grow row by row with the frames:
@@ -227,12 +228,6 @@ class RecordingWriter:
         """Close the tables. Everything is on the disk already; calling it again does nothing."""
         for table in (self._timestamps, self._features, self._irises, self._cameras):
             table.close()
-
-    def __enter__(self) -> RecordingWriter:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
 
 def _numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
