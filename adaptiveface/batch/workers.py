@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from ..errors import AdaptiveFaceError, MissingExtraError
 
@@ -102,7 +102,8 @@ def _in_processes(function, items: Iterable, processes: int, shared) -> Iterator
                 worker.start()
                 theirs.close()
                 running[answer] = (item, worker)
-            for answer in wait(list(running)):
+            for ready in wait(list(running)):
+                answer = cast(Connection, ready)
                 item, worker = running.pop(answer)
                 yield item, _received(answer, worker)
     finally:

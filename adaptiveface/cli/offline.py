@@ -52,7 +52,7 @@ def run_demo(args: argparse.Namespace) -> int:
     start = time.perf_counter()
     chosen = parameters(args.set)
     _check_demo(args)
-    from ..evaluation import ErrorCollector
+    from ..evaluation import ErrorCollector, GroundTruth
     from ..evaluation.coefficients import measure_coefficients
     from ..pipeline import FrameReader, capture_from, track_to_file
     from ..synthetic.sensor import SyntheticSensor
@@ -62,7 +62,7 @@ def run_demo(args: argparse.Namespace) -> int:
     with FrameReader(sensor, remember=True) as reader:
         actor = capture_from(reader, chosen, sensor.neutral_frames, progress=True)
         actor.save(args.out / "actor.npz")
-        collector = ErrorCollector(sensor, actor)
+        collector = ErrorCollector(GroundTruth.of(sensor), actor)
         result = track_to_file(
             reader, actor, args.out / "result.npz", chosen, progress=True, on_frame=lambda tracked, _: collector.add(tracked)
         )

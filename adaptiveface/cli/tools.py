@@ -17,8 +17,12 @@ def add_bench(commands) -> None:
         'Libraries to compare with are timed where they are installed: pip install "adaptiveface[bench]".',
     )
     bench.add_argument("--frames", type=whole(10, 10_000), metavar="N", help="synthetic frames to time")
-    sizes = {"type": several(500, 27_000), "metavar": "N,N,N"}
-    bench.add_argument("--vertices", **sizes, help="measure instead how the times grow with the mesh, and with K, S and A")
+    bench.add_argument(
+        "--vertices",
+        type=several(500, 27_000),
+        metavar="N,N,N",
+        help="measure instead how the times grow with the mesh, and with K, S and A",
+    )
     bench.add_argument("--live", action="store_true", help="measure instead latency and lost frames of live tracking")
     bench.add_argument(
         "--seconds", type=whole(1, 86_400), default=60, metavar="N", help="length of --live (default: %(default)s)"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from ..runtime.timing import clean_times
 from ..sensors.orientation import as_tracked
 from . import page, retargeting, scenes, sections
 from .context import Context
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 #: At most this many frames are scored for the report when no evaluation is handed over; they are spread over the run.
 MAX_SCORED = 120
@@ -84,7 +88,7 @@ def write_report(
         context = replace(context, evaluation=score(context, step))
         note = f"Scored here: every {_ordinal(step)} frame." if step > 1 else ""
     name = str(getattr(context.source, "name", "a performance"))
-    body = [
+    body: list[Markup | str] = [
         sections.heading(name, context.result.colour_only),
         sections.doubt(context),
         scenes.preview(context),
@@ -127,6 +131,7 @@ def _context(result, source, actor, truth, evaluation: Evaluation | None, parame
 def score(context: Context, step: int = 1) -> Evaluation:
     """Errors of v1 and v4 at every ``step``-th frame."""
     result = context.result
+    assert context.truth is not None  # asked for by the caller
     collector = ErrorCollector(context.truth, context.actor, ("v1", "v4"))
     for k in range(0, len(result), step):
         if result.tracked[k]:

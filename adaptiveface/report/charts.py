@@ -184,9 +184,10 @@ def adaptation(result: Result, spans: Spans = ()) -> Markup:
 
 def held_out(result: Result, spans: Spans = ()) -> Markup:
     """Error of the held-out landmarks over time, by region, % of the eyes' distance."""
+    assert result.held_out is not None  # only then is the section written
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
-        t, seen = result.timestamps, result.tracked & (result.held_out > 0).any(axis=1)
+        t, seen = result.timestamps, result.tracked & np.any(result.held_out > 0, axis=1)
         colours = (BLUE, ORANGE, GREEN, VERMILLION, SKY, PURPLE, GREY, "#333333", "#a05a2c")
         for number, region in enumerate(result.held_out_regions):
             errors = _break_at_gaps(result.held_out[:, number], seen)

@@ -29,7 +29,7 @@ def html() -> Any:
     return Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("report.html").module
 
 
-def page(title: str, sections: Sequence[Markup]) -> str:
+def page(title: str, sections: Sequence[Markup | str]) -> str:
     """A whole self-contained HTML document."""
     from markupsafe import Markup
 

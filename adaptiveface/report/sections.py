@@ -88,8 +88,8 @@ def learning(context: Context, correctives: np.ndarray | None) -> Markup:
     drawn = [charts.learning(result, context.spans)]
     if not result.colour_only:
         drawn.insert(0, charts.adaptation(result, context.spans))
-    learned = correctives is not None and len(correctives)
-    return page.html().learning(drawn, _corrective_faces(context.actor, correctives) if learned else "")
+    faces = "" if correctives is None or not len(correctives) else _corrective_faces(context.actor, correctives)
+    return page.html().learning(drawn, faces)
 
 
 def _corrective_faces(actor: Actor, correctives: np.ndarray) -> Markup:

@@ -207,8 +207,9 @@ class Result(ResultAccess):
 
 
 #: A row's arrays, as they follow each other in ``rows.bin``: by their size, as processors like it.
-_ROW = ("timestamps", *MESHES, "rigid", "coefficients", "coefficients_initial", "stage_ms", "residual", "anchor_distance")
-_ROW += ("adaptive_distance", "held_out", "corrective_updates", "reasons", "sample_state", "tracked", "skipped")
+_ROW: tuple[str, ...] = ("timestamps", *MESHES, "rigid", "coefficients", "coefficients_initial", "stage_ms", "residual")
+_ROW += ("anchor_distance", "adaptive_distance", "held_out", "corrective_updates", "reasons")
+_ROW += ("sample_state", "tracked", "skipped")
 #: What a run that did not end has written beside its rows; the neutral is for frames without a face.
 _HEAD = {name: entry for name, entry in checks(Result).items() if "F" not in entry.shape and name != "correctives"}
 _HEAD |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
@@ -220,7 +221,7 @@ def _of_unfinished(folder: Path) -> Result:
         check_indices(folder / HEAD, name, head[name], len(head["neutral"]))
     rows = read_rows(folder, _row_type(head))
     for _, block in blocks(rows):
-        for name in block.dtype.names:
+        for name in block.dtype.names or ():
             if block[name].dtype.kind == "f" and not np.isfinite(block[name]).all():
                 raise FileFormatError(f"{folder / ROWS}: '{name}' holds NaN or infinite values")
     return _of_rows(rows, head)
@@ -288,7 +289,7 @@ class ResultBuilder:
                 anchor_distance=np.nan_to_num(frame.anchor_distance),
                 adaptive_distance=np.nan_to_num(frame.adaptive_distance),
             )
-            if len(frame.held_out) and "held_out" in self._type.names:
+            if len(frame.held_out) and "held_out" in (self._type.names or ()):
                 row["held_out"] = frame.held_out
             row |= {stage: frame.in_camera(getattr(frame, stage)) for stage in self._stages}
         self._write(row, "" if frame.tracked else frame.reason)
@@ -328,12 +329,13 @@ def _row_type(head: dict[str, np.ndarray]) -> np.dtype:
 
 def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], correctives: np.ndarray | None = None) -> Result:
     """The result of rows (F,), in which frames that are not tracked are filled in."""
-    names = [name for name in rows.dtype.names if name not in MESHES]
+    every = rows.dtype.names or ()
+    names = [name for name in every if name not in MESHES]
     small = {name: np.empty((len(rows), *rows.dtype[name].shape), rows.dtype[name].base) for name in names}
     for part, block in blocks(rows):
         for name in names:
             small[name][part] = block[name]
-    meshes = {name: rows[name] for name in MESHES if name in rows.dtype.names}
+    meshes = {name: rows[name] for name in MESHES if name in every}
     _fill_gaps(small, meshes, head["neutral"])
     shared = {name: value for name, value in head.items() if name not in ("neutral", "stages")}
     data = by_attribute(Result, "the rows", shared | small | meshes)
