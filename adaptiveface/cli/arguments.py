@@ -7,10 +7,12 @@ from collections.abc import Callable
 
 from ..errors import ParameterError
 from ..export.arguments import add_field_of_view
+from .texts import TEXTS
 
 
-def add_command(commands, name: str, what: str, more: str, example: str = "") -> argparse.ArgumentParser:
-    """The parser of a command: ``what`` it does, in the list of commands and, with ``more``, on its own page."""
+def add_command(commands, name: str) -> argparse.ArgumentParser:
+    """The parser of a command, with its :data:`~adaptiveface.cli.texts.TEXTS`."""
+    what, more, example = TEXTS[name]
     text = f"{what[0].upper()}{what[1:]}. {more}"
     return commands.add_parser(name, help=what, description=text, epilog=f"Example: {example}" if example else None)
 

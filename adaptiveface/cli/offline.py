@@ -15,12 +15,7 @@ from .arguments import add_command, add_neutral_frames, add_settings, add_source
 
 def add_demo(commands) -> None:
     """``demo``."""
-    demo = add_command(
-        commands,
-        "demo",
-        "run the whole pipeline on a synthetic performer and write a report",
-        "It needs no camera, no network and no display. The folder then holds actor.npz, result.npz and report.html.",
-    )
+    demo = add_command(commands, "demo")
     demo.add_argument(
         "--out", type=Path, default=Path("adaptiveface-demo"), metavar="DIR", help="folder to write to (default: %(default)s)"
     )
@@ -106,13 +101,7 @@ def _check_demo(args: argparse.Namespace) -> None:
 
 def add_capture(commands) -> None:
     """``capture``."""
-    capture = add_command(
-        commands,
-        "capture",
-        "build a personal rig (actor.npz) from a neutral scan",
-        "The recording shows the resting face, seen from the front and while the head turns.",
-        "adaptiveface capture my-scan --out actor.npz --neutral-frames 100:140",
-    )
+    capture = add_command(commands, "capture")
     add_source(capture)
     capture.add_argument("--out", type=Path, required=True, metavar="actor.npz", help="file to write")
     add_neutral_frames(capture, default=None)
@@ -136,13 +125,7 @@ def run_capture(args: argparse.Namespace) -> int:
 
 def add_track(commands) -> None:
     """``track``."""
-    track = add_command(
-        commands,
-        "track",
-        "track every frame of a recording (result.npz)",
-        "Without --actor, the rig is captured from the beginning of the recording, which has to show the resting face.",
-        "adaptiveface track my-take --actor actor.npz --out result.npz --report report",
-    )
+    track = add_command(commands, "track")
     add_source(track)
     track.add_argument("--out", type=Path, required=True, metavar="result.npz", help="file to write")
     track.add_argument(
@@ -220,13 +203,7 @@ def _report(result, source, actor, folder: Path, **options) -> None:
 
 def add_export(commands) -> None:
     """``export``."""
-    export = add_command(
-        commands,
-        "export",
-        "write a result as an animated character, curves or a video",
-        "Without --character, the actor's own mesh is written.",
-        "adaptiveface export result.npz --format glb --character hag",
-    )
+    export = add_command(commands, "export")
     add_export_arguments(export)
     export.set_defaults(run=run_export)
 

@@ -22,13 +22,7 @@ from .arguments import (
 
 def add_record(commands) -> None:
     """``record``."""
-    record = add_command(
-        commands,
-        "record",
-        "record a sensor to a folder that capture and track read",
-        "Frames are written as the sensor gives them, without being tracked.",
-        "adaptiveface record realsense --out my-take --seconds 20",
-    )
+    record = add_command(commands, "record")
     record.add_argument("source", metavar="SOURCE", help="a sensor (synthetic, realsense, ...) or a recording")
     record.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder to write to")
     record.add_argument(
@@ -46,12 +40,7 @@ def run_record(args: argparse.Namespace) -> int:
 
 def add_convert(commands) -> None:
     """``convert``."""
-    convert = add_command(
-        commands,
-        "convert",
-        "convert a vendor's recording to a folder that capture and track read",
-        "The formats are .bag, .db3, .r3d, .oni and .mkv; docs/sensors.md says what each of them needs.",
-    )
+    convert = add_command(commands, "convert")
     convert.add_argument("file", type=Path, metavar="FILE", help="recording of another program or SDK")
     convert.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder to write to")
     convert.set_defaults(run=run_convert)
@@ -66,13 +55,7 @@ def run_convert(args: argparse.Namespace) -> int:
 
 def add_stream(commands) -> None:
     """``stream``."""
-    stream = add_command(
-        commands,
-        "stream",
-        "track a recording or a phone and send every frame to an avatar",
-        "Blendshapes, head and eyes are sent over the network, by default to this machine.",
-        "adaptiveface stream my-take --actor actor.npz --vmc 127.0.0.1:39539",
-    )
+    stream = add_command(commands, "stream")
     add_source(stream)
     add_stream_arguments(stream)
     add_neutral_frames(stream)
@@ -110,13 +93,7 @@ def run_stream(args: argparse.Namespace) -> int:
 
 def add_live(commands) -> None:
     """``live``."""
-    live = add_command(
-        commands,
-        "live",
-        "open a sensor, lead through the neutral scan, and track",
-        "The live view is a notebook in the browser. With --headless everything happens in this terminal.",
-        "adaptiveface live realsense --headless --actor actor.npz --out result.npz",
-    )
+    live = add_command(commands, "live")
     live.add_argument(
         "sensor",
         nargs="?",

@@ -16,13 +16,7 @@ PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
 
 def add_batch(commands) -> None:
     """``batch``."""
-    batch = add_command(
-        commands,
-        "batch",
-        "capture, track and score many recordings",
-        "Started again with the same options, it goes on where it was stopped.",
-        "adaptiveface batch my-takes --out results --sweep laplacian.w2=0.5,1.5,5",
-    )
+    batch = add_command(commands, "batch")
     batch.add_argument("sources", metavar="FOLDER_OR_LIST", help="a folder of recordings, or a text file that lists them")
     batch.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results, tables and index.html")
     batch.add_argument(
@@ -98,13 +92,7 @@ def run_batch(args: argparse.Namespace) -> int:
 
 def add_evaluate(commands) -> None:
     """``evaluate``."""
-    evaluate = add_command(
-        commands,
-        "evaluate",
-        "score results, or the meshes of another tracker, against the truth",
-        "Several pairs give the mean over the performers, with its confidence interval.",
-        "adaptiveface evaluate result.npz my-take",
-    )
+    evaluate = add_command(commands, "evaluate")
     evaluate.add_argument(
         "pairs",
         nargs="+",
@@ -133,12 +121,7 @@ def run_evaluate(args: argparse.Namespace) -> int:
 
 def add_paper(commands) -> None:
     """``paper``."""
-    paper = add_command(
-        commands,
-        "paper",
-        "draw the paper's figures again from synthetic performances",
-        "Every figure is drawn with the parameters of the paper and with our defaults.",
-    )
+    paper = add_command(commands, "paper")
     paper.add_argument(
         "--figure",
         type=int,

@@ -10,12 +10,7 @@ from .arguments import add_command, several, whole
 
 def add_bench(commands) -> None:
     """``bench``."""
-    bench = add_command(
-        commands,
-        "bench",
-        "time every stage, beside the paper's figures and other libraries",
-        'Libraries to compare with are timed where they are installed: pip install "adaptiveface[bench]".',
-    )
+    bench = add_command(commands, "bench")
     bench.add_argument("--frames", type=whole(10, 10_000), metavar="N", help="synthetic frames to time")
     bench.add_argument(
         "--vertices",
@@ -46,12 +41,7 @@ def run_bench(args: argparse.Namespace) -> int:
 
 def add_lab(commands) -> None:
     """``lab``."""
-    lab = add_command(
-        commands,
-        "lab",
-        "open JupyterLab on a copy of the notebooks",
-        "The server can be reached from this machine only. Notebooks that you changed stay as they are.",
-    )
+    lab = add_command(commands, "lab")
     lab.add_argument(
         "--dir",
         type=Path,
@@ -75,12 +65,7 @@ def run_lab(args: argparse.Namespace) -> int:
 
 def add_exercises(commands) -> None:
     """``exercises``."""
-    exercises = add_command(
-        commands,
-        "exercises",
-        "list the exercises, make a student copy, or grade a class",
-        "Without an option, the exercises are listed.",
-    )
+    exercises = add_command(commands, "exercises")
     todo = exercises.add_mutually_exclusive_group()
     todo.add_argument("--student", type=Path, metavar="DIR", help="write the notebooks without solutions to a new folder")
     todo.add_argument("--grade", type=Path, metavar="FOLDER", help="grade submissions, one folder or file per student")
@@ -123,12 +108,7 @@ def run_exercises(args: argparse.Namespace) -> int:
 
 def add_doctor(commands) -> None:
     """``doctor``."""
-    doctor = add_command(
-        commands,
-        "doctor",
-        "check the installation and say how to mend it",
-        "The exit status is 0 when everything that is needed works.",
-    )
+    doctor = add_command(commands, "doctor")
     doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
     doctor.set_defaults(run=run_doctor)
 

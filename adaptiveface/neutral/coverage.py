@@ -56,8 +56,9 @@ def choose_by_coverage(frames: Sequence[RgbdFrame], points: np.ndarray, count: i
 def _direction(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
     """(3,) from the head to the camera, a unit vector in the head frame."""
     pose = pose_from_features(frame, points)
-    towards = -pose[:3, :3].T @ pose[:3, 3]
-    return towards / max(np.linalg.norm(towards), 1e-9)
+    assert pose is not None  # only of frames that were judged by their pose
+    towards: np.ndarray = -pose[:3, :3].T @ pose[:3, 3]
+    return towards / max(float(np.linalg.norm(towards)), 1e-9)
 
 
 def _angle(one: np.ndarray, other: np.ndarray) -> float:
