@@ -5,8 +5,8 @@
 
 For every performer: features exact to half a pixel and detected by MediaPipe on the rendered pictures; the actor saved
 from an RGB-D scan, the average head as it is, and the average head fitted to the features of the neutral frames, or
-(detected ones) to those of the performance alone, in which no frame is neutral. Scored on one performance after 40 neutral frames: the head
-pose's error in degrees (median and 95 %) and millimetres, the active share of the
+(detected ones) to those of the performance alone, in which no frame is neutral. Scored on one performance after 40
+neutral frames: the head pose's error in degrees (median and 95 %) and millimetres, the active share of the
 face's motion in the head frame (v1, v4), and of v4 in space, pose error included. Without depth the head's size and so
 its distance are unknowable, which is why only the head frame's share says how good the expressions are. Report on seeds
 of 1000 and above; nothing was tuned on them.

@@ -81,7 +81,7 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
     """One performer with one depth noise; returns its row: v4 with either kind of features, pixel errors."""
     neutral = options["neutral_frames"]
     sensor = SyntheticSensor(seed, noise, neutral, options["frames"], repeats=2, feature_noise=0.0)
-    frames, parameters = Frames(sensor, FeatureDetector(), options["cache"]), Parameters().set(**options["set"])
+    frames, parameters = Frames(sensor, FeatureDetector(), options["cache"]), Parameters().replace(**options["set"])
     scan = [frames[index] for index in range(neutral)]
     runs = {}
     for name in ("exact", "detected"):

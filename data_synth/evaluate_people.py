@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, help="draw the neutrals there")
     parser.add_argument("--set", nargs="*", default=[], help="parameters, stage.name=value")
     args = parser.parse_args()
-    parameters = Parameters().set(**dict(text.split("=", 1) for text in args.set))
+    parameters = Parameters().replace(**dict(text.split("=", 1) for text in args.set))
     there = [name for name in args.people if (PEOPLE / name).is_dir()]
     if not there:
         print(f"none of {', '.join(args.people)} is in {PEOPLE}: nothing to evaluate")

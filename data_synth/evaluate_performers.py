@@ -129,13 +129,13 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
         seed, noise, neutral_frames=options["neutral_frames"], frames=options["frames"], repeats=2, colour=False
     )
     frames = CachedFrames(sensor, options["cache"])
-    parameters = Parameters().set(**options["set"])
+    parameters = Parameters().replace(**options["set"])
     started = time.perf_counter()
     actor = capture_actor([frames.read(i) for i in range(options["neutral_frames"])], parameters=parameters)
     row = dict(seed=seed, noise=noise, capture_s=time.perf_counter() - started)
     runs = {"on": (FaceTracker(actor, parameters), ErrorCollector(sensor, actor))}
     if not options["no_ablation"]:
-        frozen = parameters.set(adaptive_pca__learn=False)
+        frozen = parameters.replace(adaptive_pca__learn=False)
         runs["off"] = (FaceTracker(actor, frozen), ErrorCollector(sensor, actor, ("v4",)))
     times = []
     for index in range(len(sensor)):

@@ -33,7 +33,7 @@ def run_performers(args: argparse.Namespace, run: Callable[[int, str, dict], dic
     ``options``: ``args`` as a dict, ``set`` as a dict of its own. A wrong parameter is an error before any work.
     """
     changed = dict(entry.partition("=")[::2] for entry in args.set)
-    Parameters().set(**changed)
+    Parameters().replace(**changed)
     options = vars(args) | {"set": changed}
     tasks = [(seed, noise) for seed in args.seeds for noise in args.noises]
     rows = []

@@ -27,7 +27,7 @@ def test_paper_values_are_the_printed_ones():
 
 @pytest.mark.parametrize("key, value", [("laplacian.w1", "0.2"), ("laplacian__w1", 0.2)])
 def test_set_takes_text_and_values(key, value):
-    changed = Parameters().set(**{key: value})
+    changed = Parameters().replace(**{key: value})
     assert changed.laplacian.w1 == 0.2
     assert changed.rigid == Parameters().rigid
 
@@ -47,7 +47,7 @@ def test_set_takes_text_and_values(key, value):
 )
 def test_wrong_values_are_named(key, value, words):
     with pytest.raises(ParameterError, match=words) as error:
-        Parameters().set(**{key: value})
+        Parameters().replace(**{key: value})
     assert key in str(error.value) or "nowhere" in str(error.value)
 
 
@@ -55,20 +55,25 @@ def test_wrong_values_are_named(key, value, words):
 def test_valid_min_above_valid_max_is_refused_with_a_reason(low, high):
     """No sample could be learned. Both may change at once, and may be equal."""
     with pytest.raises(ParameterError, match="valid_min = .* is above adaptive_pca.valid_max = .*no sample"):
-        Parameters().set(**{"adaptive_pca.valid_min": low, "adaptive_pca.valid_max": str(high)})
+        Parameters().replace(**{"adaptive_pca.valid_min": low, "adaptive_pca.valid_max": str(high)})
     with pytest.raises(ParameterError, match="valid_min"):
         Parameters.from_json(json.dumps({"adaptive_pca": {"valid_min": low, "valid_max": high}}))
     for pair in ((high, low), (high, high), (0, 0), (500, 1000)):
-        kept = Parameters().set(adaptive_pca__valid_min=pair[0], adaptive_pca__valid_max=pair[1]).adaptive_pca
+        kept = Parameters().replace(adaptive_pca__valid_min=pair[0], adaptive_pca__valid_max=pair[1]).adaptive_pca
         assert (kept.valid_min, kept.valid_max) == pair
 
 
 def test_json_round_trip():
-    changed = Parameters().set(laplacian__w2=7.5, adaptive_pca__learn=False)
+    changed = Parameters().replace(laplacian__w2=7.5, adaptive_pca__learn=False)
     assert Parameters.from_json(changed.to_json()) == changed
     assert json.loads(changed.to_json())["laplacian"]["w2"] == 7.5
     with pytest.raises(ParameterError):
         Parameters.from_json("[1, 2]")
+
+
+def test_a_copy_is_changed_under_both_names():
+    start = Parameters()
+    assert start.set(laplacian__w2=7.5) == start.replace(laplacian__w2=7.5) != start == Parameters()
 
 
 def test_every_parameter_is_documented_and_its_values_lie_in_range():
@@ -103,8 +108,8 @@ def test_old_names_of_parameters_work_with_a_warning(stage, old, new):
     row = next(row for row in describe() if (row["stage"], row["name"]) == (stage, new))
     value = type(row["default"])(row["low"])
     with pytest.warns(DeprecationWarning, match=new):
-        changed = Parameters().set(**{f"{stage}.{old}": value})
-    assert changed == Parameters().set(**{f"{stage}__{new}": value})
+        changed = Parameters().replace(**{f"{stage}.{old}": value})
+    assert changed == Parameters().replace(**{f"{stage}__{new}": value})
     with pytest.warns(DeprecationWarning, match=new):
         assert getattr(getattr(changed, stage), old) == value
     with pytest.warns(DeprecationWarning, match=f"{old}.* is now called {new}"):
@@ -113,7 +118,7 @@ def test_old_names_of_parameters_work_with_a_warning(stage, old, new):
 
 @pytest.mark.filterwarnings("error")
 def test_files_of_an_earlier_version_keep_their_parameters_without_a_warning():
-    today = Parameters().set(rigid__max_residual=2.0, blendshapes__vertex_stride=5, laplacian__cg_iterations=4)
+    today = Parameters().replace(rigid__max_residual=2.0, blendshapes__vertex_stride=5, laplacian__cg_iterations=4)
     names = {(stage, new): old for stage, old, new in OLD_PARAMETERS}
     stages = json.loads(today.to_json())
     earlier = {s: {names.get((s, name), name): v for name, v in values.items()} for s, values in stages.items()}

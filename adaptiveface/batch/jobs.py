@@ -152,7 +152,7 @@ def expand(
     for name, source in zip(_names(sources), sources, strict=True):
         for settings in combinations:
             folder = "/".join([name, *([",".join(f"{key}={value}" for key, value in settings)] if settings else [])])
-            chosen = base.set(**dict(settings)) if settings else base
+            chosen = base.replace(**dict(settings)) if settings else base
             jobs.append(Job(folder, source, settings, chosen.to_json(), **options))
     return jobs
 

@@ -129,7 +129,7 @@ def parameter_growth(name: str, frames: int, progress: Callable = lambda numbers
     """The tables over the values of one of :data:`OTHERS`, on the embedded mesh."""
     values, comparisons = OTHERS[name]
     actor, scene = bench_scene(frames, progress=progress)
-    sets = [Parameters().set(**{name: value}) for value in values]
+    sets = [Parameters().replace(**{name: value}) for value in values]
     tables = [growth_table(f"{name}; CPU ms", stage_growth([FaceTracker(actor, p) for p in sets], values, scene))]
     if comparisons:
         recordings = [_recorded(actor, scene, p) for p in sets]

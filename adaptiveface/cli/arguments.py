@@ -108,7 +108,7 @@ def parameters(settings: list[str]):
         if not equals or "." not in name:
             raise ParameterError(f"--set {setting}: stage.name=value is expected, e.g. laplacian.w1=0.2")
         values[name] = value
-    return Parameters().set(**values)
+    return Parameters().replace(**values)
 
 
 def several(low: int, high: int) -> Callable[[str], list[int]]:

@@ -101,7 +101,7 @@ def ablation_table(evaluations: dict[str, Evaluation], performance: int | None =
 
 def _tracker(actor: Actor, parameters: Parameters, variant: Variant) -> FaceTracker:
     stages = Stages() if variant.fit else Stages(blendshapes=RestingFit)
-    return FaceTracker(actor, parameters.set(**variant.changes), stages)
+    return FaceTracker(actor, parameters.replace(**variant.changes), stages)
 
 
 class RestingFit(BlendshapeFit):

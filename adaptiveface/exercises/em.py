@@ -174,7 +174,7 @@ HINTS = (
 )
 
 # Few shapes, so that the short performance has more samples than shapes: before that, EM only turns the basis.
-_FEW_SHAPES = Parameters().set(adaptive_pca__K=2)
+_FEW_SHAPES = Parameters().replace(adaptive_pca__K=2)
 EM_STEP = Exercise(
     "em_step",
     TASK,

@@ -201,7 +201,7 @@ class LiveSession:
 
     def _wanted(self) -> Parameters:
         parameters = self._parameters
-        return parameters.set(adaptive_pca__learn=False) if self._frozen else parameters
+        return parameters.replace(adaptive_pca__learn=False) if self._frozen else parameters
 
     def _apply_changes(self) -> None:
         with self._changed:
@@ -217,7 +217,7 @@ class LiveSession:
             except Exception as error:
                 self._report(failure(error, "these parameters cannot be used", TrackingError))
                 with self._changed:
-                    self._parameters = tracker.parameters.set(adaptive_pca__learn=self._parameters.adaptive_pca.learn)
+                    self._parameters = tracker.parameters.replace(adaptive_pca__learn=self._parameters.adaptive_pca.learn)
         self._tracker = tracker
 
     def _track(self, frame: LiveFrame) -> TrackedFrame:

@@ -86,6 +86,10 @@ class StageSet:
         return cls(**stages)
 
     def set(self, **values: Any) -> Self:
+        """The earlier name of :meth:`replace`, which does not sound as if this object changed."""
+        return self.replace(**values)
+
+    def replace(self, **values: Any) -> Self:
         """A copy with fields changed, named ``stage__name`` or passed as ``**{"stage.name": value}``.
 
         Raises :class:`ParameterError` for an unknown name or a value outside its range.
@@ -121,7 +125,7 @@ class StageSet:
     def from_json(cls, text: str) -> Self:
         """The inverse of :meth:`to_json`; raises :class:`ParameterError`."""
         stages = cls.stored(text)
-        return cls().set(**{f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()})
+        return cls().replace(**{f"{stage}.{name}": value for stage, values in stages.items() for name, value in values.items()})
 
     @classmethod
     def current_name(cls, name: str) -> str:

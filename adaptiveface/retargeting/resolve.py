@@ -9,4 +9,4 @@ from ..result import Result
 def blendshape_parameters(result: Result) -> BlendshapeParameters:
     """The parameters of the blendshape fit with which a result was tracked. Raises :class:`ParameterError`."""
     stages = Parameters.stored(result.parameters)
-    return Parameters().set(**{f"blendshapes.{name}": v for name, v in stages.get("blendshapes", {}).items()}).blendshapes
+    return Parameters().replace(**{f"blendshapes.{name}": v for name, v in stages.get("blendshapes", {}).items()}).blendshapes
