@@ -9,7 +9,8 @@ import pytest
 
 from adaptiveface.errors import FileFormatError
 from adaptiveface.geometry.camera import Camera
-from adaptiveface.geometry.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from adaptiveface.geometry.expression_names import SCORE_NAMES
+from adaptiveface.geometry.frame import LANDMARKS, DetectedFace, Features2D, RgbdFrame
 from adaptiveface.geometry.mesh import rigid_alignment, transform_points
 from adaptiveface.live.statistics import LiveStatistics
 from adaptiveface.model.actor import Actor

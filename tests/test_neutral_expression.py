@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scenes import CAMERA, head_pose
 
-from adaptiveface.geometry.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D
+from adaptiveface.geometry.expression_names import SCORE_NAMES
+from adaptiveface.geometry.frame import LANDMARKS, DetectedFace, Features2D
 from adaptiveface.geometry.mesh import rigid_alignment, surface_points, transform_points, vertex_normals
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.expression import TELLING, ExpressionPrior, expressiveness, without_expression

@@ -14,7 +14,8 @@ from scenes import coefficients, exact_actor, head_pose, posed_shape, render_fra
 
 from adaptiveface.cli import main
 from adaptiveface.errors import TrackingError
-from adaptiveface.geometry.frame import LANDMARKS, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from adaptiveface.geometry.expression_names import SCORE_NAMES
+from adaptiveface.geometry.frame import LANDMARKS, DetectedFace, Features2D, RgbdFrame
 from adaptiveface.geometry.mesh import surface_points
 from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import embedded_face_model

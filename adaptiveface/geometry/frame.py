@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..livelink.convention import ARKIT_NAMES
 from .camera import Camera
 
 #: iBUG-68 numbers of the 40 features: brows, eye contours, lips (paper, section 1).
@@ -29,10 +28,6 @@ IRIS_CENTRES = (473, 468)
 FEATURE_REGIONS = np.array(["brows"] * 8 + ["eyes"] * 12 + ["lips"] * 20)
 
 
-#: The expression scores that a detector returns beside its landmarks: ARKit's curves but for the tongue, in alphabetical order.
-SCORE_NAMES = tuple(sorted(set(ARKIT_NAMES) - {"tongueOut"}))
-
-
 @dataclass(frozen=True)
 class DetectedFace:
     """Everything that the detector found of a face.
@@ -42,7 +37,7 @@ class DetectedFace:
     mesh : (478, 3)
         MediaPipe's landmarks, pixels, and their depth on the same scale.
     scores : (51,) or None
-        Expression scores from 0 to 1, in the order of ``SCORE_NAMES``.
+        Expression scores from 0 to 1, in the order of ``expression_names.SCORE_NAMES``.
     """
 
     mesh: np.ndarray

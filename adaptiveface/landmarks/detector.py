@@ -27,7 +27,8 @@ from importlib.resources import as_file, files
 import numpy as np
 
 from ..errors import SYSTEM_LIBRARIES_HINT, FeatureDetectionError, MissingExtraError
-from ..geometry.frame import MEDIAPIPE_INDICES, SCORE_NAMES, DetectedFace, Features2D, RgbdFrame
+from ..geometry.expression_names import SCORE_NAMES
+from ..geometry.frame import MEDIAPIPE_INDICES, DetectedFace, Features2D, RgbdFrame
 from ..geometry.mesh import vertex_normals
 from .kept_face import KeptFace, VideoClock
 from .model_file import ENVIRONMENT, face_landmarker_file

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.frame import SCORE_NAMES, DetectedFace
+from ..geometry.expression_names import SCORE_NAMES
+from ..geometry.frame import DetectedFace
 from ..model.blendshapes import deformation_transfer
 from ..model.face_model import FaceModel
 from ..tracking.bounded import bounded_least_squares
