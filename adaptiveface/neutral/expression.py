@@ -109,4 +109,5 @@ def without_expression(model: FaceModel, identity: np.ndarray, expression: np.nd
         return scanned
     neutral = model.neutral(identity)
     expressive = neutral + np.tensordot(expression, model.generic_expressions, axes=1)
-    return scanned + deformation_transfer(expressive, scanned, model.triangles, (neutral - expressive)[None])[0]
+    back: np.ndarray = deformation_transfer(expressive, scanned, model.triangles, (neutral - expressive)[None])[0]
+    return scanned + back
