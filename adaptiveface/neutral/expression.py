@@ -109,5 +109,5 @@ def without_expression(model: FaceModel, identity: np.ndarray, expression: np.nd
         return scanned
     neutral = model.neutral(identity)
     expressive = neutral + np.tensordot(expression, model.generic_expressions, axes=1)
-    back: np.ndarray = deformation_transfer(expressive, scanned, model.triangles, (neutral - expressive)[None])[0]
-    return scanned + back
+    relaxed: np.ndarray = scanned + deformation_transfer(expressive, scanned, model.triangles, (neutral - expressive)[None])[0]
+    return relaxed
