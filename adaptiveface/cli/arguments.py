@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 
 from ..errors import ParameterError
 from ..export.arguments import add_field_of_view
@@ -49,6 +50,20 @@ def opened(text: str, field_of_view: float | None = None):
     for note in Abilities.of(source).notes:
         print(note)
     return source
+
+
+def add_performer(command: argparse.ArgumentParser, seed: int) -> None:
+    """``--seed`` and ``--noise`` of a synthetic performance."""
+    number = "number of the performer (default: %(default)s)"
+    command.add_argument("--seed", type=whole(0, 10**9), default=seed, metavar="N", help=number)
+    noise = "noise of the depth camera: structured-light, truedepth or none (default: %(default)s)"
+    command.add_argument("--noise", default="structured-light", metavar="NAME", help=noise)
+
+
+def add_notebook_folder(command: argparse.ArgumentParser) -> None:
+    """``--dir``."""
+    text = "folder of the notebooks (default: %(default)s)"
+    command.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help=text)
 
 
 def add_settings(command: argparse.ArgumentParser) -> None:

@@ -6,11 +6,21 @@ import argparse
 import time
 from pathlib import Path
 
-from ..export.arguments import add_export_arguments
+from ..export.arguments import add_actor, add_export_arguments
 from ..files import check_folder, check_output
 from ..retargeting import BUILT_IN
 from ..runtime.interrupt import CtrlC
-from .arguments import add_command, add_neutral_frames, add_settings, add_source, opened, parameters, source_name, whole
+from .arguments import (
+    add_command,
+    add_neutral_frames,
+    add_performer,
+    add_settings,
+    add_source,
+    opened,
+    parameters,
+    source_name,
+    whole,
+)
 
 
 def add_demo(commands) -> None:
@@ -19,15 +29,7 @@ def add_demo(commands) -> None:
     demo.add_argument(
         "--out", type=Path, default=Path("adaptiveface-demo"), metavar="DIR", help="folder to write to (default: %(default)s)"
     )
-    demo.add_argument(
-        "--seed", type=whole(0, 10**9), default=0, metavar="N", help="number of the performer (default: %(default)s)"
-    )
-    demo.add_argument(
-        "--noise",
-        default="structured-light",
-        metavar="NAME",
-        help="noise of the depth camera: structured-light, truedepth or none (default: %(default)s)",
-    )
+    add_performer(demo, seed=0)
     demo.add_argument(
         "--frames",
         type=whole(2, 10_000),
@@ -128,9 +130,7 @@ def add_track(commands) -> None:
     track = add_command(commands, "track")
     add_source(track)
     track.add_argument("--out", type=Path, required=True, metavar="result.npz", help="file to write")
-    track.add_argument(
-        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured from the leading frames)"
-    )
+    add_actor(track, "captured from the leading frames")
     add_neutral_frames(track)
     track.add_argument(
         "--irises",

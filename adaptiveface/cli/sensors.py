@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 
 from ..errors import ParameterError
-from ..export.arguments import add_destinations, add_stream_arguments
+from ..export.arguments import add_actor, add_destinations, add_stream_arguments
 from .arguments import (
     add_command,
     add_mirrored,
     add_neutral_frames,
+    add_notebook_folder,
     add_settings,
     add_source,
     opened,
@@ -102,16 +103,8 @@ def add_live(commands) -> None:
     )
     add_mirrored(live)
     live.add_argument("--headless", action="store_true", help="track in this terminal; without SENSOR, list the sensors")
-    live.add_argument(
-        "--dir",
-        type=Path,
-        default=Path("adaptiveface-notebooks"),
-        metavar="DIR",
-        help="folder of the notebooks (default: %(default)s)",
-    )
-    live.add_argument(
-        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured first, by a guided scan)"
-    )
+    add_notebook_folder(live)
+    add_actor(live, "captured first, by a guided scan")
     live.add_argument("--save-actor", type=Path, metavar="FILE", help="save the captured rig to this file")
     live.add_argument("--record", type=Path, metavar="DIR", help="also record every frame to a new folder")
     live.add_argument("--out", type=Path, metavar="result.npz", help="save the result, 3 MB a second; of livelink: take.csv")

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from ..errors import ParameterError
-from ..export.arguments import FORMATS
+from ..export.arguments import FORMATS, add_actor
 from ..files import check_folder, check_output
-from .arguments import add_command, add_settings, parameters, whole
+from .arguments import add_command, add_performer, add_settings, parameters, whole
 
 #: The same as ``studies.FIGURES``, which would take long to import for the help.
 PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
@@ -27,9 +27,7 @@ def add_batch(commands) -> None:
         metavar="stage.name=v,v,...",
         help="track with each of the values; several sweeps make every combination",
     )
-    batch.add_argument(
-        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured from each recording)"
-    )
+    add_actor(batch, "captured from each recording")
     batch.add_argument(
         "--neutral-frames",
         type=whole(1, 99_999),
@@ -100,9 +98,7 @@ def add_evaluate(commands) -> None:
         help="result.npz or another tracker's .npz, and its truth: a ground_truth.npz, the folder of the recording, or "
         "synthetic:SEED[:NOISE]",
     )
-    evaluate.add_argument(
-        "--actor", type=Path, metavar="actor.npz", help="rig that was tracked with (default: the one beside each result)"
-    )
+    add_actor(evaluate, "the one beside each result")
     evaluate.add_argument(
         "--step", type=whole(1, 1000), default=1, metavar="N", help="score every N-th frame (default: %(default)s)"
     )
@@ -138,15 +134,7 @@ def add_paper(commands) -> None:
         metavar="DIR",
         help="folder for PNG, SVG and CSV files (default: %(default)s)",
     )
-    paper.add_argument(
-        "--seed", type=whole(0, 999_999), default=1000, metavar="N", help="number of the performer (default: %(default)s)"
-    )
-    paper.add_argument(
-        "--noise",
-        default="structured-light",
-        metavar="NAME",
-        help="noise of the depth camera: structured-light, truedepth or none (default: %(default)s)",
-    )
+    add_performer(paper, seed=1000)
     paper.add_argument(
         "--frames",
         type=whole(12, 100_000),

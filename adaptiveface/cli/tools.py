@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .arguments import add_command, several, whole
+from .arguments import add_command, add_notebook_folder, several, whole
 
 
 def add_bench(commands) -> None:
@@ -42,13 +42,7 @@ def run_bench(args: argparse.Namespace) -> int:
 def add_lab(commands) -> None:
     """``lab``."""
     lab = add_command(commands, "lab")
-    lab.add_argument(
-        "--dir",
-        type=Path,
-        default=Path("adaptiveface-notebooks"),
-        metavar="DIR",
-        help="folder of the notebooks (default: %(default)s)",
-    )
+    add_notebook_folder(lab)
     lab.add_argument(
         "--port", type=whole(1, 65_535), metavar="N", help="port of the server (default: 8888, or the next free one)"
     )

@@ -74,9 +74,7 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also carry what the blendshapes lack (v4 - v1) to a character with the actor's mesh",
     )
-    command.add_argument(
-        "--actor", type=Path, metavar="actor.npz", help="rig that was tracked with (default: the one beside the result)"
-    )
+    add_actor(command, "the one beside the result")
     command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
     add_field_of_view(command)
     command.add_argument(
@@ -85,6 +83,11 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
         help="mp4, gif: show the character driven by the initial and by the re-solved coefficients (figure 8)",
     )
     command.add_argument("--turntable", action="store_true", help="mp4, gif: let the camera circle the character")
+
+
+def add_actor(command: argparse.ArgumentParser, default: str) -> None:
+    """``--actor``; ``default`` says what is taken without it."""
+    command.add_argument("--actor", type=Path, metavar="actor.npz", help=f"the person's rig (default: {default})")
 
 
 def add_field_of_view(command: argparse.ArgumentParser) -> None:
@@ -114,9 +117,7 @@ def degrees(text: str) -> float:
 def add_stream_arguments(command: argparse.ArgumentParser) -> None:
     """Options of ``adaptiveface stream`` besides the source and the parameters."""
     add_destinations(command)
-    command.add_argument(
-        "--actor", type=Path, metavar="actor.npz", help="rig to track with (default: captured from the leading frames)"
-    )
+    add_actor(command, "captured from the leading frames")
     _add_smoothing(command)
     command.add_argument(
         "--fast", action="store_true", help="send as fast as possible instead of at the speed of the recording"
