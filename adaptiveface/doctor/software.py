@@ -24,10 +24,11 @@ NEEDED = {
     "matplotlib": "matplotlib",
     "platformdirs": "platformdirs",
     "pillow": "PIL",
+    "jinja2": "jinja2",
 }
 #: extra -> (modules that it brings, what for).
 EXTRAS = {
-    "landmarks": (("mediapipe", "av"), "2D features in colour pictures, videos"),
+    "landmarks": (("mediapipe", "av", "pooch"), "2D features in colour pictures, videos"),
     "video": (("imageio_ffmpeg",), "H.264 films"),
     "usd": (("pxr",), "USD files"),
     "osc": (("pythonosc",), "streams to VTuber programs"),
