@@ -177,6 +177,18 @@ def check_playback(page, button: str) -> None:
     lab.wait_for_rest(page)
 
 
+def check_learn_live_while_playing(page) -> None:
+    """It begins anew and plays on."""
+    page.locator(".adaptiveface-play").first.click()
+    page.wait_for_function("() => window.loads.face.length > 5", timeout=240_000)
+    page.evaluate("() => { window.loads.face = []; }")
+    page.locator(".adaptiveface-live").first.click()
+    page.wait_for_function("() => window.loads.face.length > 20", timeout=240_000)
+    assert "pause" in page.locator(".adaptiveface-play").first.inner_text()
+    page.locator(".adaptiveface-play").first.click()
+    lab.wait_for_rest(page)
+
+
 def check_threshold(page) -> None:
     """A line of the energy chart is dragged, and moved with a key: the parameter follows, and the slider with it."""
 
@@ -212,4 +224,5 @@ def test_pca_sliders_and_live_learning(page, address):
     check_threshold(page)
     check_drag(page, face, chart, "adaptive_pca.K", -120)
     check_playback(page, ".adaptiveface-live")
+    check_learn_live_while_playing(page)
     assert page.problems == []
