@@ -9,6 +9,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from adaptiveface.errors import FileFormatError
+from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS, RgbdFrame
 from adaptiveface.geometry.mesh import surface_points, transform_points, triangle_normals, vertex_normals
 from adaptiveface.model.actor import Actor
@@ -93,7 +94,8 @@ def test_it_is_saved_with_the_actor_and_checked(actor, tmp_path):
         "skin_triangles": arrays["skin_triangles"] + 10**6,
         "skin_weights": arrays["skin_weights"] * 2,
         "skin_deviations": -arrays["skin_deviations"],
-        "skin_detail": None,
+        "skin_coherence": arrays["skin_coherence"] + 1.0,
+        "skin_slopes": None,
     }.items():
         broken = {key: array for key, array in (arrays | {name: value}).items() if array is not None}
         np.savez(path, **broken)
@@ -104,7 +106,7 @@ def test_it_is_saved_with_the_actor_and_checked(actor, tmp_path):
 def test_rows_are_those_of_explicit_sums():
     """A few triangles before a random picture: M and the pull against SciPy's interpolation and matrix products."""
     rng = np.random.default_rng(3)
-    images = tuple(rng.uniform(0, 40, (3, 60, 80, 3)).astype(np.float32))
+    image = rng.uniform(0, 40, (60, 80, 3)).astype(np.float32)
     vertices = np.array([0.0, 0, 600]) + rng.uniform(-20, 20, (12, 3))
     triangles = np.array([sorted(rng.choice(12, 3, replace=False)) for _ in range(20)])
     facing = (triangle_normals(vertices, triangles) * vertices[triangles[:, 0]]).sum(axis=1) < 0
@@ -112,24 +114,60 @@ def test_rows_are_those_of_explicit_sums():
     shares = rng.dirichlet(np.ones(3), 20)
     rotation, lens = np.linalg.qr(rng.standard_normal((3, 3)))[0], (500.0, 510.0, 40.0, 30.0)
     points, normals, counts = skin_samples.carry(vertices, triangles, shares, np.ones(12, bool), 600.0)
-    values, along_u, along_v = skin_samples.look_up(images, points, lens, counts)
+    values = skin_samples.look_up(image, points, lens, counts)
     np.testing.assert_allclose(points, surface_points(vertices, triangles, shares))
     x, y, z = points.T
     at = np.stack([510.0 * y / z + 30.0, 500.0 * x / z + 40.0])
     seen = counts > 0
     assert 5 < seen.sum() < 20
-    for found, image in zip((values, along_u, along_v), images, strict=True):
-        looked_up = np.stack([map_coordinates(image[..., c], at, order=1) for c in range(3)], axis=1)
-        np.testing.assert_allclose(found, np.where(seen[:, None], looked_up, 0.0), rtol=1e-4, atol=1e-4)
+    looked_up = np.stack([map_coordinates(image[..., c], at, order=1) for c in range(3)], axis=1)
+    np.testing.assert_allclose(values, np.where(seen[:, None], looked_up, 0.0), rtol=1e-4, atol=1e-4)
 
     residuals, weights = rng.normal(0, 5, (20, 3)), rng.uniform(0, 1, (20, 3)) * seen[:, None]
-    matrices, forces = skin_samples.normal_equations(residuals, weights, along_u, along_v, points, normals, rotation, lens)
-    rays = np.stack([500.0 * np.stack([1 / z, 0 * z, -x / z**2], 1), 510.0 * np.stack([0 * z, 1 / z, -y / z**2], 1)], axis=1)
-    rows = along_u[..., None] * rays[:, None, 0] + along_v[..., None] * rays[:, None, 1]
-    rows -= (rows * normals[:, None]).sum(axis=2, keepdims=True) * normals[:, None]
+    slopes = rng.normal(0, 20, (20, 3, 2))
+    matrices, forces = skin_samples.normal_equations(residuals, weights, slopes, vertices, triangles, rotation)
+    edges = vertices[triangles[:, 1:]] - vertices[triangles[:, :1]]
+    rows = slopes @ np.linalg.pinv(edges).transpose(0, 2, 1)  # within the triangle, with the slopes along its edges
+    np.testing.assert_allclose((rows * normals[:, None]).sum(axis=2), 0.0, atol=1e-9)
     rows = rows @ rotation
     np.testing.assert_allclose(matrices, np.einsum("qc,qci,qcj->qij", weights, rows, rows), atol=1e-9)
     np.testing.assert_allclose(forces, -np.einsum("qc,qc,qci->qi", weights, residuals, rows), atol=1e-9)
+
+
+def views_of(actor: Actor, shades: list[np.ndarray]) -> list[tuple[RgbdFrame, np.ndarray]]:
+    """Pictures of the resting head 600 mm away, all alike but for the shades (H, W), in grey."""
+    camera, pose = Camera(320, 240, 260.0, 260.0, 159.5, 119.5), np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 600.0
+    depth = np.full((240, 320), 600.0, np.float32)
+    return [
+        (RgbdFrame(depth, camera, np.repeat(shade[..., None], 3, axis=2).astype(np.uint8), number, 0.0), pose)
+        for number, shade in enumerate(shades)
+    ]
+
+
+def test_texture_counts_and_noise_and_gloss_do_not(actor):
+    """A pattern of 4 grey levels that stays on the skin, and as much noise: what all pictures show alike is told from it."""
+    rng = np.random.default_rng(1)
+    texture = 120.0 + 4.0 * rng.standard_normal((240, 320))
+    noisy = [texture + 4.0 * rng.standard_normal((240, 320)) for _ in range(12)]
+    plain = [120.0 + 4.0 * rng.standard_normal((240, 320)) for _ in range(12)]
+    skins = {name: gather_skin(actor, views_of(actor, shades), ON.skin) for name, shades in (("skin", noisy), ("none", plain))}
+    assert np.median(skins["none"].coherence[:, 0]) < 0.05
+    # Half of a picture's squared gradient is the skin's.
+    assert 0.35 < np.median(skins["skin"].coherence[:, 0]) < 0.65
+
+
+def test_slopes_are_those_of_the_picture(actor):
+    """On a ramp in brightness, what a sample's slopes tell is what the next corner shows."""
+    ramp = np.broadcast_to(60.0 * np.exp(0.004 * np.arange(320)), (240, 320))
+    lines = ramp * (1.0 + 0.05 * np.sin(np.arange(320) * 0.6))
+    skin = gather_skin(actor, views_of(actor, [lines] * 3), ON.skin)
+    corners = actor.neutral[skin.triangles]
+    across = 260.0 / 600.0 * (corners[:, 1:, 0] - corners[:, :1, 0])  # px along u
+    slope = (skin.slopes[:, 0] * across).sum(axis=1) / (across**2).sum(axis=1)
+    steep = (across**2).sum(axis=1) > 0.2
+    # 5 percent times 0.6 per px, at most.
+    assert 0.6 < np.percentile(np.abs(slope[steep]), 90) / 3.0 < 1.2
 
 
 def test_light_is_found_among_outliers_and_noise_is_not_believed():
@@ -147,7 +185,7 @@ def test_light_is_found_among_outliers_and_noise_is_not_believed():
 
     def believed(values):
         expected = skin_light.in_light(skin_light.fit_light(values, colours, normals, weights), colours, normals)
-        return skin_light.trust(values - expected, expected, weights)
+        return skin_light.trust(values - expected, expected, weights, weights[:, 0])
 
     np.testing.assert_array_equal(believed(colours + rng.normal(0, 1, (2000, 3))), 1.0)
     np.testing.assert_array_equal(believed(rng.normal(0, 10, (2000, 3))), 0.0)

@@ -22,7 +22,7 @@ SURROUNDINGS = 4.0
 #: How many units of a channel the whole of a colour share is; of brightness, one unit is one percent.
 CHROMA = 300.0
 #: Grey levels below which a difference is noise.
-_DARK = 8.0
+DARK = 8.0
 
 
 @record
@@ -57,7 +57,7 @@ def channels(picture: np.ndarray, blur: float) -> np.ndarray:
     if blur:
         rgb = cv2.GaussianBlur(rgb, (0, 0), blur)
     red, green, blue = rgb[..., 0], rgb[..., 1], rgb[..., 2]
-    total = (red + green + blue + _DARK) / CHROMA
-    brightness = 0.3 * red + 0.59 * green + 0.11 * blue + _DARK
+    total = (red + green + blue + DARK) / CHROMA
+    brightness = 0.3 * red + 0.59 * green + 0.11 * blue + DARK
     contrast = 100.0 * np.log(brightness / cv2.GaussianBlur(brightness, (0, 0), SURROUNDINGS))
     return np.stack([contrast, (red - green) / total, (green - blue) / total], axis=-1)

@@ -9,31 +9,36 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields
 
+import cv2
 import numpy as np
 
 from ..errors import FileFormatError
 from ..files.records import array, record
+from .appearance import CHROMA, DARK, SURROUNDINGS
 
 #: An actor keeps no more samples than this.
 MOST = 8000
+#: So many pixels show a channel of :func:`skin_channels` alike: the colours come from a picture of half the size.
+PIXELS = np.array([1.0, 4.0, 4.0])
+#: Of red, green, blue and one: brightness, and two differences and the sum that they are shares of.
+_BRIGHTNESS = np.array([[0.3, 0.59, 0.11, DARK]])
+_SHARES = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1 / CHROMA, 1 / CHROMA, 1 / CHROMA, DARK / CHROMA]])
 
 
 @record
 @dataclass(frozen=True)
 class Skin:
-    """Samples on the surface of the neutral, in the order in which they are worth taking.
-
-    The colours are :func:`~adaptiveface.model.appearance.channels` without blur.
-    """
+    """Samples on the surface of the neutral, in the order in which they are worth taking; colours: :func:`skin_channels`."""
 
     triangles: np.ndarray = array("SKIN 3", "i4", "corners of the triangle that a sample of the face sits on", below="N")
     weights: np.ndarray = array("SKIN 3", doc="barycentric weights of its place there")
-    colours: np.ndarray = array("SKIN 3", doc="how it looks on the neutral (`channels`), mean over the pictures")
+    colours: np.ndarray = array("SKIN 3", doc="how it looks on the neutral (`skin_channels`), mean over the pictures")
     deviations: np.ndarray = array("SKIN 3", doc="standard deviation of that over the pictures: what light and pose change")
-    detail: np.ndarray = array("SKIN", doc="squared gradient of the channels, summed", unit="1/mm^2")
+    slopes: np.ndarray = array("SKIN 3 2", doc="change of the colours along the edges from the triangle's first corner")
+    coherence: np.ndarray = array("SKIN 3", doc="share of a picture's squared gradient that all the pictures show alike")
 
     def __len__(self) -> int:
-        return len(self.detail)
+        return len(self.triangles)
 
     def first(self, count: int) -> Skin:
         """The ``count`` most telling samples."""
@@ -42,11 +47,27 @@ class Skin:
     @classmethod
     def checked(cls, path: str | os.PathLike, data: dict[str, np.ndarray]) -> Skin:
         """Of the arrays in a file; raises :class:`FileFormatError` where they describe no samples of a surface."""
-        if not 0 < len(data["detail"]) <= MOST:
-            raise FileFormatError(f"{path}: 'skin_detail' must hold 1 to {MOST} samples")
-        if min(data["deviations"].min(), data["detail"].min()) < 0:
-            raise FileFormatError(f"{path}: 'skin_deviations' or 'skin_detail' holds negative values")
+        if not 0 < len(data["triangles"]) <= MOST:
+            raise FileFormatError(f"{path}: 'skin_triangles' must hold 1 to {MOST} samples")
+        if min(data["deviations"].min(), data["coherence"].min()) < 0 or data["coherence"].max() > 1:
+            raise FileFormatError(f"{path}: 'skin_deviations' holds negative values, or 'skin_coherence' none of 0 to 1")
         weights = data["weights"]
         if weights.min() < -0.01 or np.abs(weights.sum(axis=1) - 1).max() > 0.01:
             raise FileFormatError(f"{path}: rows of 'skin_weights' are not barycentric (0 to 1, sum 1)")
         return cls(**data)
+
+
+def skin_channels(picture: np.ndarray) -> np.ndarray:
+    """(H, W, 3) float32 of an RGB picture (H, W, 3): brightness in percent of what is around; two shares of colour against it.
+
+    As :func:`~adaptiveface.model.appearance.channels`, but that the colours are coarser, as cameras send them, and lose what
+    changes slowly over the face: gloss has the lamp's colour, and moves over the skin as the head turns.
+    """
+    size = picture.shape[1], picture.shape[0]
+    first, second, total = cv2.split(cv2.transform(cv2.pyrDown(picture).astype(np.float32), _SHARES))
+    shares = cv2.merge([cv2.divide(first, total), cv2.divide(second, total)])
+    shares -= cv2.GaussianBlur(shares, (0, 0), 0.5 * SURROUNDINGS)
+    brightness = cv2.transform(picture.astype(np.float32), _BRIGHTNESS)
+    around = cv2.GaussianBlur(cv2.pyrDown(brightness), (0, 0), 0.5 * SURROUNDINGS)
+    contrast = cv2.log(cv2.divide(brightness, cv2.pyrUp(around, dstsize=size))) * np.float32(100.0)
+    return cv2.merge([contrast, *cv2.split(cv2.pyrUp(shares, dstsize=size))])

@@ -7,18 +7,18 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
+from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_REGIONS, RgbdFrame
 from ..geometry.mesh import surface_points, transform_points, triangle_normals, vertex_normals
 from ..model.actor import Actor
-from ..model.appearance import channels
-from ..model.skin import MOST, Skin
+from ..model.skin import MOST, Skin, skin_channels
 from ..parameters import SkinParameters
 from .appearance import MIN_COSINE, SEEN, inner_grid
 
 #: mm around the features of the eyes in which no sample lies: lids slide over eyeballs, whose colour is not the neutral's.
 LIDS = 9.0
-#: px: gradients are taken at this blur, where they hold little noise.
-_BLUR = 1.5
+#: px: slopes are differences of the picture over twice so much.
+_STEP = 0.6
 #: OpenCV looks up so many pixels at once, and a few more.
 _ROWS = 30000
 #: mm: size of the cells that give one sample after the other, so that the first ones cover the face.
@@ -34,41 +34,70 @@ def gather_skin(actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], par
     points = surface_points(actor.neutral, triangles, weights)
     normals = surface_points(vertex_normals(actor.neutral, actor.triangles), triangles, weights)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    (total, detail), (sums, squares) = np.zeros((2, len(points))), np.zeros((2, len(points), 3))
+    tangents = _tangents(normals)
+    total, heavy = np.zeros((2, len(points)))
+    sums, squares = np.zeros((2, len(points), 3, 3))  # of each channel: itself, and its slopes along the tangents
     for frame, pose in views:
         if frame.colour is None:
             continue
-        seen = transform_points(pose, points)
-        cosine = -((normals @ pose[:3, :3].T) * seen).sum(axis=1) / np.linalg.norm(seen, axis=1)
+        placed = transform_points(pose, points)
+        cosine = -((normals @ pose[:3, :3].T) * placed).sum(axis=1) / np.linalg.norm(placed, axis=1)
         weight = np.clip(cosine - MIN_COSINE, 0.0, None) ** 4
-        at = frame.camera.project(seen)
-        colours = _at(channels(frame.colour, 0.0), at)
-        steepness = _at(_squared_gradient(channels(frame.colour, _BLUR)), at)
+        found = _look(skin_channels(frame.colour), frame.camera, pose, points, tangents)
         total += weight
-        sums += weight[:, None] * colours
-        squares += weight[:, None] * colours**2
-        detail += weight * steepness * (frame.camera.fx / seen[:, 2]) ** 2
+        heavy += weight**2
+        sums += weight[:, None, None] * found
+        squares += weight[:, None, None] * found**2
     kept = np.flatnonzero(total > (SEEN - MIN_COSINE) ** 4)
     if not len(kept):
         return None
-    means, detail = sums[kept] / total[kept, None], detail[kept] / total[kept]
-    deviations = np.sqrt(np.maximum(squares[kept] / total[kept, None] - means**2, 0.0))
-    order = _most_telling(points[kept], detail / (parameters.noise**2 + (deviations**2).mean(axis=1)))[:MOST]
+    means = sums[kept] / total[kept, None, None]
+    variances = np.maximum(squares[kept] / total[kept, None, None] - means**2, 0.0)
+    gradients, deviations = means[:, :, 1:], np.sqrt(variances[:, :, 0])
+    coherence = _coherence(gradients, variances[:, :, 1:], total[kept] ** 2 / heavy[kept])
+    worth = (coherence * (gradients**2).sum(axis=2) / (parameters.noise**2 + deviations**2)).sum(axis=1)
+    order = _most_telling(points[kept], worth)[:MOST]
     chosen = kept[order]
-    return Skin(triangles[chosen], weights[chosen], means[order], deviations[order], detail[order])
+    corners = actor.neutral[triangles[chosen]]
+    edges = corners[:, 1:] - corners[:, :1]
+    slopes = np.einsum("qct,tqd,qed->qce", gradients[order], tangents[:, chosen], edges)
+    return Skin(triangles[chosen], weights[chosen], means[order, :, 0], deviations[order], slopes, coherence[order])
+
+
+def _tangents(normals: np.ndarray) -> np.ndarray:
+    """(2, Q, 3) orthonormal directions across unit ``normals`` (Q, 3)."""
+    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normals, first)])
+
+
+def _look(picture: np.ndarray, camera: Camera, pose: np.ndarray, points: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+    """(Q, 3, 3) channels at points (Q, 3), head frame, and their change per mm along the tangents (2, Q, 3)."""
+    step = _STEP * float(np.median(transform_points(pose, points)[:, 2])) / camera.fx
+
+    def at(places: np.ndarray) -> np.ndarray:
+        return _at(picture, camera.project(transform_points(pose, places)))
+
+    slopes = [(at(points + step * along) - at(points - step * along)) / (2.0 * step) for along in tangents]
+    return np.stack([at(points), *slopes], axis=2)
+
+
+def _coherence(gradients: np.ndarray, variances: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """(Q, 3) share of one picture's squared gradient that is the skin's own: what all pictures show alike.
+
+    gradients, variances (Q, 3, 2): mean and variance over the pictures, of which ``count`` (Q,) are independent. Noise and
+    gloss, which stays where the light is while the head turns, are the rest. The mean's own share of them is taken off.
+    """
+    square, noise = (gradients**2).sum(axis=2), variances.sum(axis=2)
+    left = square - noise / np.maximum(count[:, None] - 1.0, 1.0)
+    coherence: np.ndarray = np.maximum(left, 0.0) / np.maximum(square + noise, 1e-12)
+    return coherence
 
 
 def _at(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(Q, ...) values of a picture (H, W, ...) at pixels (Q, 2), bilinear."""
     parts = np.array_split(pixels.astype(np.float32)[:, None], len(pixels) // _ROWS + 1)
     return np.concatenate([cv2.remap(picture, part, None, cv2.INTER_LINEAR)[:, 0] for part in parts]).astype(float)
-
-
-def _squared_gradient(picture: np.ndarray) -> np.ndarray:
-    """(H, W) squared gradient per px^2, summed over the channels of a picture (H, W, 3)."""
-    along = (cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1)))
-    total: np.ndarray = sum((gradient**2).sum(axis=2) for gradient in along)
-    return total
 
 
 def _most_telling(points: np.ndarray, worth: np.ndarray) -> np.ndarray:

@@ -327,10 +327,7 @@ class SkinParameters(Stage):
     )
     samples: int = parameter(4000, "samples that are followed, the most telling first", low=10, high=8000)
     weight: float = parameter(0.5, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
-    feature_weight: float = parameter(
-        0.3, "weight of a 2D feature beside the colours, which leave the lids to it", unit="1/mm^2", low=0, high=1e6, log=True
-    )
-    noise: float = parameter(4.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
+    noise: float = parameter(2.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
     cg_iterations: int = parameter(
-        3, "preconditioned conjugate-gradient iterations of the depth deformation with colours", low=1, high=50
+        5, "preconditioned conjugate-gradient iterations of the depth deformation with colours", low=1, high=50
     )

@@ -5,27 +5,28 @@ of the surface (:class:`Skin`) say where the skin between the features went. The
 
     w sum_q a_q sum_c rho |I_c(pi(P e_q(v1 + d))) - T_qc|^2 / s_qc^2
 
-with the picture's channels I_c, the pose P, the projection pi and the sample's barycentric row e_q. T is taken as the light of
-the picture shows it (skin_light.py). The energy is linearised at the last frame's displacement d0, and the row's part along the
-normal is left out: there depth knows better. With the residual r_qc and g_qc = (1 - n n^T) P^T (d pi)^T grad I_c a sample
-adds the matrix M_q = sum_c w_qc g_qc g_qc^T and the pull M_q e_q d0 - sum_c w_qc r_qc g_qc. M_q says what a sample knows, in
-both directions of the surface: across an edge much, along it nothing.
+with the picture's channels I_c (:func:`~adaptiveface.model.skin.skin_channels`), the pose P, the projection pi and the
+sample's barycentric row e_q. T is taken as the light of the picture shows it (skin_light.py). The energy is linearised at
+the last frame's displacement d0 with the neutral's gradients g_qc in place of the picture's (the inverse compositional form
+of Baker & Matthews 2004): g_qc lies in the sample's triangle and follows it as it bends. So one look at the picture is
+enough, and no noise of it is taken for texture. With the residual r_qc a sample adds the matrix M_q = sum_c w_qc g_qc
+g_qc^T and the pull M_q e_q d0 - sum_c w_qc r_qc g_qc. M_q says what a sample knows, in both directions of the surface:
+across an edge much, along it nothing.
 
-What makes a weight w_qc small: skin that turns away; a channel that light and pose changed in the neutral already; a sample
-that fits worse than the others; one without depth of the skin, behind a hand or beside the face; and a picture in which the
-neutral's colours are not found again, as it is late, dark or another one: then nothing changes at all. Blurred pictures reach
-farther, but show more of the shading, and made every figure worse.
+What makes a weight w_qc small: a slope that the neutral's pictures do not show alike, being noise, or gloss that stays
+where the lamp is while the head turns (the sample's ``coherence``); skin that turns away; a channel that light and pose
+changed in the neutral already; a sample that fits worse than the others; one without depth of the skin, behind a hand or
+beside the face; and a picture in which the neutral's colours are not found again, as it is late, dark or another one: then
+nothing changes at all.
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points
-from ..model.appearance import channels
-from ..model.skin import Skin
+from ..model.skin import PIXELS, Skin, skin_channels
 from ..parameters import SkinParameters
 from .laplacian import LaplacianDeformation
 from .region import FrontalRegion
@@ -47,7 +48,11 @@ class DenseSkin:
         self._skin = skin = skin.first(parameters.samples)
         self._corners = np.ascontiguousarray(region.local[skin.triangles])
         self._variances = parameters.noise**2 + skin.deviations**2
-        known = parameters.weight / CORRELATED * skin.detail / self._variances.mean(axis=1)
+        edges = region.neutral[self._corners[:, 1:]] - region.neutral[self._corners[:, :1]]
+        inverse = np.linalg.inv(edges @ edges.transpose(0, 2, 1))
+        steepness = np.einsum("qce,qef,qcf->qc", skin.slopes, inverse, skin.slopes)
+        self._shares = parameters.weight * skin.coherence / PIXELS
+        known = (self._shares * steepness / self._variances / CORRELATED).sum(axis=1)
         at_vertices = np.bincount(self._corners.ravel(), (skin.weights * known[:, None]).ravel(), minlength=len(region))
         self.deformation = deformation.bounded(at_vertices)
 
@@ -63,10 +68,9 @@ class DenseSkin:
         if frame.colour is None or window is None:
             return None
         u, v, right, bottom = window
-        picture = channels(frame.colour[v:bottom, u:right], 0.0)
-        along_u, along_v = (cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1)))
+        picture = skin_channels(frame.colour[v:bottom, u:right])
         lens = frame.camera.fx, frame.camera.fy, frame.camera.cx - u, frame.camera.cy - v
-        matrices, forces = self._rows((picture, along_u, along_v), lens, placed, pose, measured)
+        matrices, forces = self._rows(picture, lens, placed, pose, measured)
         if not matrices.any():
             return None
         return SkinTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
@@ -82,7 +86,7 @@ class DenseSkin:
 
     def _rows(
         self,
-        images: tuple[np.ndarray, np.ndarray, np.ndarray],
+        picture: np.ndarray,
         lens: tuple[float, float, float, float],
         placed: np.ndarray,
         pose: np.ndarray,
@@ -91,13 +95,13 @@ class DenseSkin:
         """M (Q, 3, 3) and -sum_c w_qc r_qc g_qc (Q, 3), both in the head frame, where vertices are ``placed`` (n, 3)."""
         skin, reach = self._skin, lens[0] * self.parameters.spacing
         points, normals, counts = carry(placed, self._corners, skin.weights, measured, reach)
-        values, along_u, along_v = look_up(images, points, lens, counts)
+        values = look_up(picture, points, lens, counts)
         known = counts[:, None] / self._variances
         expected = in_light(fit_light(values, skin.colours, normals, known), skin.colours, normals)
         residuals = values - expected
         misfit = (known * residuals**2).sum(axis=0) / max(counts.sum(), 1e-12)
         variances = np.maximum(misfit, 1.0) * self._variances
-        believed = self.parameters.weight * trust(residuals, expected, known)
-        weights = believed * counts[:, None] / variances * robust(residuals, variances)
+        believed = trust(residuals, expected, known, counts)
+        weights = believed * self._shares * counts[:, None] / variances * robust(residuals, variances)
         turn = np.ascontiguousarray(pose[:3, :3])
-        return normal_equations(residuals, weights, along_u, along_v, points, normals, turn, lens)
+        return normal_equations(residuals, weights, skin.slopes, placed, self._corners, turn)

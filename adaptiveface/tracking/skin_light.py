@@ -61,12 +61,14 @@ def _basis(colours: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.concatenate([colours.T[:, :, None], offsets], axis=2)
 
 
-def trust(residuals: np.ndarray, expected: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def trust(residuals: np.ndarray, expected: np.ndarray, weights: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """(3,) in [0, 1]: how far the channels are believed, by what the expected colours (Q, 3) explain of themselves.
 
-    Each by itself, and all of them by the sum: a colour that changes little over the face fits where all is displaced, too.
+    weights (Q, 3): ``counts`` (Q,) over the variances that noise and gloss leave in a fitting picture; so much is not held
+    against it. Each by itself, and all of them by the sum: a colour that changes little over the face fits where all is
+    displaced, too.
     """
-    left = (weights * residuals**2).sum(axis=0)
+    left = np.maximum((weights * residuals**2).sum(axis=0) - counts.sum(), 0.0)
     middle = (weights * expected).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-12)
     there = (weights * (expected - middle) ** 2).sum(axis=0)
     explained = 1.0 - np.append(left, left.sum()) / np.maximum(np.append(there, there.sum()), 1e-12)

@@ -46,19 +46,14 @@ def carry(
 
 
 @compiled(nogil=True)
-def look_up(
-    images: tuple[np.ndarray, np.ndarray, np.ndarray],
-    points: np.ndarray,
-    lens: tuple[float, float, float, float],
-    counts: np.ndarray,
-) -> np.ndarray:
-    """Values (3, Q, 3) of three images (H, W, 3) at points (Q, 3) in the camera frame, bilinear; zero where ``counts`` is.
+def look_up(image: np.ndarray, points: np.ndarray, lens: tuple[float, float, float, float], counts: np.ndarray) -> np.ndarray:
+    """Values (Q, 3) of an image (H, W, 3) at points (Q, 3) in the camera frame, bilinear; zero where ``counts`` is.
 
-    lens: fx, fy, cx and cy of the images. Counts (Q,) of points outside become zero, in place.
+    lens: fx, fy, cx and cy of the image. Counts (Q,) of points outside become zero, in place.
     """
     fx, fy, cx, cy = lens
-    height, width = images[0].shape[:2]
-    values = np.zeros((3, len(points), 3))
+    height, width = image.shape[:2]
+    values = np.zeros((len(points), 3))
     for q in range(len(points)):
         if counts[q] == 0.0:
             continue
@@ -69,12 +64,10 @@ def look_up(
             continue
         i, j = int(y), int(x)
         b, a = y - i, x - j
-        for k in range(3):
-            image = images[k]
-            for c in range(3):
-                above = (1 - a) * image[i, j, c] + a * image[i, j + 1, c]
-                below = (1 - a) * image[i + 1, j, c] + a * image[i + 1, j + 1, c]
-                values[k, q, c] = (1 - b) * above + b * below
+        for c in range(3):
+            above = (1 - a) * image[i, j, c] + a * image[i, j + 1, c]
+            below = (1 - a) * image[i + 1, j, c] + a * image[i + 1, j + 1, c]
+            values[q, c] = (1 - b) * above + b * below
     return values
 
 
@@ -82,30 +75,38 @@ def look_up(
 def normal_equations(
     residuals: np.ndarray,
     weights: np.ndarray,
-    along_u: np.ndarray,
-    along_v: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
+    slopes: np.ndarray,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
     rotation: np.ndarray,
-    lens: tuple[float, float, float, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """M (Q, 3, 3) and -sum_c w_qc r_qc g_qc (Q, 3) of every sample in the head frame, from r, w and gradients (Q, 3) per px.
+    """M (Q, 3, 3) and -sum_c w_qc r_qc g_qc (Q, 3) of every sample in the head frame, from r and w (Q, 3).
 
-    points, normals (Q, 3) in the camera frame; rotation (3, 3) head to camera; lens: fx, fy, cx and cy.
+    slopes (Q, 3, 2): how the channels change along the two edges from a triangle's first corner; g is the vector within
+    the triangle that says so. vertices (n, 3) in the camera frame; rotation (3, 3) head to camera.
     """
-    matrices, forces = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
-    row, turned = np.empty(3), np.empty(3)
-    for q in range(len(points)):
+    count = len(triangles)
+    matrices, forces = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    first, second, row, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for q in range(count):
+        if weights[q, 0] == 0.0 and weights[q, 1] == 0.0 and weights[q, 2] == 0.0:
+            continue
+        a, b, c = triangles[q]
+        aa, ab, bb = 0.0, 0.0, 0.0
+        for k in range(3):
+            first[k], second[k] = vertices[b, k] - vertices[a, k], vertices[c, k] - vertices[a, k]
+            aa += first[k] * first[k]
+            ab += first[k] * second[k]
+            bb += second[k] * second[k]
+        area = max(aa * bb - ab * ab, 1e-9)
         for c in range(3):
             weight = weights[q, c]
             if weight == 0.0:
                 continue
-            du, dv = along_u[q, c] * lens[0] / points[q, 2], along_v[q, c] * lens[1] / points[q, 2]
-            row[0], row[1] = du, dv
-            row[2] = -(du * points[q, 0] + dv * points[q, 1]) / points[q, 2]
-            along = row[0] * normals[q, 0] + row[1] * normals[q, 1] + row[2] * normals[q, 2]
+            x = (bb * slopes[q, c, 0] - ab * slopes[q, c, 1]) / area
+            y = (aa * slopes[q, c, 1] - ab * slopes[q, c, 0]) / area
             for k in range(3):
-                row[k] -= along * normals[q, k]
+                row[k] = x * first[k] + y * second[k]
             for k in range(3):
                 turned[k] = rotation[0, k] * row[0] + rotation[1, k] * row[1] + rotation[2, k] * row[2]
             for k in range(3):

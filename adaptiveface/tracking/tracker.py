@@ -226,16 +226,15 @@ class FaceTracker(Tracker):
         self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences, colours: SkinTerm | None
     ) -> np.ndarray:
         """Displacement (n, 3) of the frontal vertices of v1 towards depth, 2D features and colours."""
-        p, skin, start = self.parameters.laplacian, self.parameters.skin, self.state.deformation
+        p, start = self.parameters.laplacian, self.state.deformation
         planes = matches.normals @ pose[:3, :3]
-        if self.skin is not None and colours is not None:
-            term = self._feature_term(frame, pose, v1, skin.feature_weight, hold_depth=False)
-            return self.skin.deformation.deform(matches, planes, term, start, skin.cg_iterations, colours)
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
         else:
             rise = offsets_at_features(matches, pose, self.deformation.corners, self.deformation.shares) @ pose[2, :3]
             term = self._printed_term(frame, pose, v1, rise)
+        if self.skin is not None and colours is not None:
+            return self.skin.deformation.deform(matches, planes, term, start, self.parameters.skin.cg_iterations, colours)
         if p.depth_term == "point-to-point":
             return self.deformation.deform_to_points(depth_offsets(matches, pose, start), term)
         return self.deformation.deform(matches, planes, term, start, p.cg_iterations)
