@@ -89,8 +89,8 @@ def costs(judged: Sequence[Judged | None]) -> np.ndarray:
 def choose(judged: Sequence[Judged | None], count: int) -> Choice:
     """The ``count`` frames to take of all that were judged, in order: the leading ones where they are calm.
 
-    Otherwise the stretch of ``count`` calm frames that is calmest; where there are fewer, those; where there are hardly
-    any, the leading ones, with a note.
+    Otherwise the ``count`` calmest ones; where fewer are calm, those; where there are hardly any, the leading ones, with a
+    note.
     """
     if not judged:
         return Choice([])
@@ -103,10 +103,10 @@ def choose(judged: Sequence[Judged | None], count: int) -> Choice:
     frontal = [face for face in (judged[int(k)] for k in calm) if face is not None and face.angle < FRONTAL]
     if len(calm) < max(3, count // 8) or not frontal:
         return Choice(lead, f"the neutral frames are doubtful: of {len(lead)}, {trouble}")
-    size = min(count, len(calm))
-    means = np.convolve(cost[calm].max(axis=1), np.ones(size) / size, mode="valid")
-    start = int(np.argmin(means))
-    picked = [int(k) for k in calm[start : start + size]]
+    # Not those that follow one another: between two expressions a face is at rest for a few frames only. How far they are
+    # turned does not matter: the sides are wanted as well.
+    expressive = cost[calm, 2:].max(axis=1)
+    picked = sorted(int(k) for k in calm[np.argsort(expressive, kind="stable")[:count]])
     return Choice(picked, f"of the first {len(lead)} frames with a face, {trouble}")
 
 
