@@ -180,8 +180,8 @@ def settle(page, seconds: float = 1.5, most: float = 60.0) -> None:
 
 
 def rate(times: list[float]) -> float:
-    """Pictures per second."""
-    return 0.0 if len(times) < 3 else 1000 * (len(times) - 1) / (times[-1] - times[0])
+    """Pictures per second; NaN where too few were counted to tell."""
+    return float("nan") if len(times) < 3 else 1000 * (len(times) - 1) / (times[-1] - times[0])
 
 
 def canvas_of(page):
