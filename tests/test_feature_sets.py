@@ -11,11 +11,11 @@ from adaptiveface.errors import FileFormatError
 from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.expression_names import SCORE_NAMES
 from adaptiveface.geometry.frame import LANDMARKS, DetectedFace, Features2D, RgbdFrame
-from adaptiveface.geometry.mesh import rigid_alignment, transform_points
+from adaptiveface.geometry.mesh import rigid_alignment, rotation_vector_matrix, transform_points
 from adaptiveface.live.statistics import LiveStatistics
 from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import embedded_face_model
-from adaptiveface.model.feature_set import paper_features, yaw_of
+from adaptiveface.model.feature_set import MIDDLE, NOD, TURN, opening_of, paper_features, pitch_of, yaw_of
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.colour import NEAREST, USUAL, capture_colour, scored_coefficients
 from adaptiveface.parameters import Parameters
@@ -35,7 +35,8 @@ def seen(head: np.ndarray, x: np.ndarray, pose: np.ndarray, index: int = 0, nois
     skin = head + np.tensordot(x, MODEL.generic_expressions, axes=1)
     rng = np.random.default_rng(index)
     mesh = np.zeros((LANDMARKS, 3))
-    pixels = camera.project(transform_points(pose, SET.points(skin))) + SET.slides(pose, camera)
+    points = SET.points(skin)
+    pixels = camera.project(transform_points(pose, points)) + SET.slides(pose, camera, points, opening_of(NAMES, x))
     mesh[SET.ids, :2] = pixels + noise * rng.standard_normal(pixels.shape)
     scores = x @ MODEL.generic_weights
     forty = camera.project(transform_points(pose, paper_features(MODEL).points(skin)))
@@ -91,9 +92,19 @@ def test_an_actor_keeps_its_landmarks_and_the_40_entry_arrays(tmp_path):
     again = Actor.load(tmp_path / "actor.npz")
     assert again.feature_triangles.shape == (40, 3) and len(again.landmarks) == len(SET)
     np.testing.assert_allclose(again.landmarks.points(again.neutral), SET.points(MODEL.mean), atol=1e-3)
+    np.testing.assert_allclose(again.landmarks.opened, SET.opened, atol=1e-5)
     without = dataclasses.replace(actor, landmarks=None)
     without.save(tmp_path / "old.npz")
     assert Actor.load(tmp_path / "old.npz").landmarks is None
+
+
+def test_an_actor_of_an_older_version_leaves_no_landmark_behind(tmp_path):
+    path = tmp_path / "actor.npz"
+    build_actor(MODEL, MODEL.mean).save(path)
+    arrays = dict(np.load(path))
+    del arrays["landmark_opened"]
+    np.savez(path, **arrays)
+    assert not Actor.load(path).landmarks.opened.any()
 
 
 @pytest.mark.parametrize(
@@ -146,6 +157,70 @@ def test_the_head_keeps_its_size_and_its_pose_while_the_mouth_opens(identity):
         assert tracked.tracked and abs(tracked.head_pose[2, 3] / pose[2, 3] - 1) < 0.05
         angles.append(np.degrees(np.linalg.norm(tracked.head_pose[:3, :3] - pose[:3, :3]) / np.sqrt(2)))
     assert max(angles) < 1.0
+
+
+def turned(yaw: float, pitch: float, distance: float = 600.0) -> np.ndarray:
+    """(4, 4) a head that turns to its left and nods, degrees, about the middle of its landmarks."""
+    pose, to_middle = np.eye(4), np.eye(4)
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ rotation_vector_matrix(np.radians([pitch, yaw, 0.0]))
+    pose[2, 3], to_middle[:3, 3] = distance, -MIDDLE
+    return pose @ to_middle
+
+
+def detected(frame: RgbdFrame, pixels: np.ndarray) -> RgbdFrame:
+    """The frame with its landmarks seen at ``pixels`` (L, 2)."""
+    mesh = frame.features.face.mesh.copy()
+    mesh[SET.ids, :2] = pixels
+    face = dataclasses.replace(frame.features.face, mesh=mesh)
+    return dataclasses.replace(frame, features=dataclasses.replace(frame.features, face=face))
+
+
+def off_by(pose: np.ndarray, other: np.ndarray) -> float:
+    """Degrees between two poses."""
+    return float(np.degrees(np.linalg.norm(pose[:3, :3] - other[:3, :3]) / np.sqrt(2)))
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0.0, 18.0), (0.0, -18.0), (20.0, 0.0), (-15.0, 12.0)])
+def test_a_detector_that_flattens_nods_does_not_flatten_the_head(yaw, pitch):
+    """What it sees of a head that nods by 18 degrees is a head that nods by 15."""
+    pose, flat = turned(yaw, pitch), turned((1 + TURN) * yaw, (1 + NOD) * pitch)
+    assert yaw_of(pose) == pytest.approx(yaw, abs=3) and pitch_of(pose) == pytest.approx(pitch, abs=3)
+    points = SET.points(MODEL.mean)
+    moved = (SET.offset + points) @ pose[:3, :3].T + pose[:3, 3] - transform_points(pose, points)
+    seen_at = CAMERA.project(transform_points(flat, points)) + moved[:, :2] * CAMERA.fx / 600.0
+    tracker = ColourTracker(build_actor(MODEL, MODEL.mean))
+    frame = detected(seen(MODEL.mean, np.zeros(len(NAMES)), pose), seen_at)
+    for _ in range(4):
+        tracked = tracker.track(frame)
+    assert tracked.tracked and off_by(tracked.head_pose, pose) < 0.5 * off_by(flat, pose)
+
+
+def test_a_chin_that_the_detector_leaves_behind_does_not_tip_the_head():
+    """It follows a chin less than three quarters of the way down; head, jaw and held-out chin stay right."""
+    pose, opened = poses(1)[0], expression(jawOpen=0.9)
+    skin = MODEL.mean + np.tensordot(opened, MODEL.generic_expressions, axes=1)
+    chin, down = SET.regions == "chin", (SET.points(skin) - SET.points(MODEL.mean))[:, 1]
+    assert (SET.opened[chin, 1] > 0.1 * -down[chin]).mean() > 0.5 and np.abs(SET.opened[SET.regions == "lids"]).max() < 2.0
+    behind = CAMERA.project(transform_points(pose, SET.points(skin) + 0.9 * SET.opened))
+    frame = detected(seen(MODEL.mean, opened, pose), behind + SET.slides(pose, CAMERA, SET.points(skin)))
+    tracker = ColourTracker(build_actor(MODEL, MODEL.mean))
+    for _ in range(12):
+        tracked = tracker.track(frame)
+    errors = dict(zip(tracker.held_out.regions, tracked.held_out, strict=True))
+    assert off_by(tracked.head_pose, pose) < 1.0 and errors["chin"] < 3.0
+    assert tracked.coefficients_initial[NAMES.index("jawOpen")] == pytest.approx(0.9, abs=0.12)
+
+
+def test_landmarks_far_off_do_not_turn_the_head():
+    """A sneer that the rig does not have pulls the skin beside the nose up by 8 mm."""
+    pose, points = poses(1)[0], SET.points(MODEL.mean)
+    frame = seen(MODEL.mean, np.zeros(len(NAMES)), pose)
+    pulled = frame.features.face.mesh[SET.ids, :2].copy()
+    pulled[np.isin(SET.ids, [50, 280, 101, 330, 205, 425, 36, 266, 203, 423, 129, 358])] -= [0.0, 8.0]
+    frames = [frame] * 2 + [detected(frame, pulled)] * 6
+    tracker = ColourTracker(build_actor(MODEL, MODEL.mean))
+    off = [off_by(tracker.track(seen_frame).head_pose, pose) for seen_frame in frames]
+    assert len(points) == len(SET) and off[1] < 0.3 and off[-1] < 0.8
 
 
 def test_a_guessed_focal_length_cannot_put_the_head_into_the_camera():

@@ -183,7 +183,8 @@ def by_attribute(cls: type, path: str | os.PathLike, data: dict[str, np.ndarray]
     out = _converted(cls, path, data, sizes, double)
     for attribute, inner in parts(cls):
         own = {e.name: data[inner.prefix + e.name] for _, e in declared(inner.kind) if inner.prefix + e.name in data}
-        missing = [inner.prefix + entry.name for _, entry in declared(inner.kind) if entry.name not in own]
+        needed = (entry.name for _, entry in declared(inner.kind) if not entry.optional)
+        missing = [inner.prefix + name for name in needed if name not in own]
         if own and missing:
             raise FileFormatError(f"{path}: the array {missing[0]!r} is missing beside '{inner.prefix}{next(iter(own))}'")
         out[attribute] = _converted(inner.kind, path, own, sizes, double, inner.prefix) if own else None

@@ -8,6 +8,7 @@ performers by ``data_synth/place_landmarks.py``. A set is data: its size appears
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import as_file, files
@@ -22,6 +23,14 @@ from ..geometry.mesh import surface_points
 
 #: Deviation of the 40 features where nothing else is known, mm: between persons and from frame to frame.
 PAPER_PERSONAL, PAPER_DEVIATION = 0.7, 1.0
+#: MediaPipe's meshes turn aside by this share more than the head, and nod by this share more (less: it is negative). Measured
+#: by ``data_synth/measure_detector.py``: 0.035 and -0.18 on rendered performers; on three real people 0.11 and -0.17. Two
+#: thirds of the nod are taken: what is taken out makes every other error of the pose larger.
+TURN, NOD = 0.05, -0.12
+#: Beyond this angle the excess grows no more, degrees; and the point about which it turns, the middle of the landmarks, mm.
+LARGEST, MIDDLE = 35.0, np.array([0.0, -9.0, 7.0])
+#: The expression whose coefficient says how far the mouth is open.
+JAW = "jawOpen"
 
 
 @record
@@ -42,6 +51,9 @@ class FeatureSet:
     deviation: np.ndarray = array(
         "L Y", doc="standard deviation from frame to frame, per coordinate across the view", unit="mm"
     )
+    opened: np.ndarray = array(
+        "L 3", doc="by how much the detector leaves it behind as the jaw opens fully, head frame", unit="mm", optional=True
+    )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -59,7 +71,7 @@ class FeatureSet:
 
     def select(self, chosen: np.ndarray) -> FeatureSet:
         """The features ``chosen`` (L,) bool, or their numbers."""
-        per_feature = ("ids", "regions", "triangles", "weights", "offset", "held_out", "personal", "deviation")
+        per_feature = ("ids", "regions", "triangles", "weights", "offset", "held_out", "personal", "deviation", "opened")
         return replace(self, **{name: getattr(self, name)[chosen] for name in per_feature})
 
     @property
@@ -67,12 +79,16 @@ class FeatureSet:
         """Those that fits may use."""
         return self.select(~self.held_out)
 
-    def slides(self, pose: np.ndarray, camera: Camera) -> np.ndarray:
+    def slides(self, pose: np.ndarray, camera: Camera, points: np.ndarray, opening: float = 0.0) -> np.ndarray:
         """(L, 2) px by which the detector's landmarks lie off their points, for a head at ``pose`` (4, 4) head to camera.
 
-        From the front next to nothing; a detector that sees the nose too long moves its tip aside as the head turns.
+        From the front, with a closed mouth, next to nothing. A detector that sees the nose too long moves its tip aside as
+        the head turns; the mesh that it returns turns more or less than the head (``TURN``, ``NOD``); and it follows a chin
+        only part of the way down. ``points`` (L, 3) mm, head frame: where they lie; ``opening`` of the jaw, 0 to 1.
         """
-        moved = self.offset @ pose[:3, :3].T
+        yaw, pitch = np.radians(np.clip([yaw_of(pose), pitch_of(pose)], -LARGEST, LARGEST))
+        excess = np.cross([NOD * pitch, TURN * yaw, 0.0], points - MIDDLE)
+        moved = (self.offset + opening * self.opened + excess) @ pose[:3, :3].T
         ray = pose[:2, 3] / pose[2, 3]
         return (moved[:, :2] - ray * moved[:, 2:]) * [camera.fx, camera.fy] / pose[2, 3]
 
@@ -96,15 +112,25 @@ def yaw_of(pose: np.ndarray) -> float:
     return -float(np.degrees(np.arctan2(towards[0], towards[2])))
 
 
+def pitch_of(pose: np.ndarray) -> float:
+    """Degrees by which a head of pose (4, 4) head to camera is bent down, away from the camera."""
+    towards = -pose[:3, :3].T @ pose[:3, 3]
+    return float(np.degrees(np.arctan2(towards[1], towards[2])))
+
+
+def opening_of(expressions: Sequence[str], coefficients: np.ndarray) -> float:
+    """How far the jaw is open, 0 to 1, by the coefficients (A,) of ``expressions``; 0 where none of them opens it."""
+    return float(dict(zip(expressions, coefficients, strict=False)).get(JAW, 0.0))
+
+
 def paper_features(rig) -> FeatureSet:
     """The 40 features of the paper as a set, where a face model or an actor has them."""
     triangles, weights = rig.feature_triangles, rig.feature_weights
     count = len(FEATURE_IDS)
     deviation, personal = np.full((count, 1), PAPER_DEVIATION), np.full(count, PAPER_PERSONAL)
-    offset, held_out = np.zeros((count, 3)), np.zeros(count, bool)
-    return FeatureSet(
-        MEDIAPIPE_INDICES, FEATURE_REGIONS, triangles, weights, offset, held_out, personal, np.zeros(1), deviation
-    )
+    nothing, held_out = np.zeros((count, 3)), np.zeros(count, bool)
+    places = MEDIAPIPE_INDICES, FEATURE_REGIONS, triangles, weights
+    return FeatureSet(*places, nothing, held_out, personal, np.zeros(1), deviation, nothing)
 
 
 @lru_cache(maxsize=1)
@@ -115,8 +141,9 @@ def landmark_set() -> FeatureSet:
 
 
 def _normalised(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Barycentric weights that were stored in float32 sum to one again; numbers are int32."""
+    """Barycentric weights that were stored in float32 sum to one again; numbers are int32; what older files lack is zero."""
     weights = data["weights"] / data["weights"].sum(axis=1, keepdims=True)
+    data = {"opened": np.zeros_like(data["offset"])} | data
     return data | {"weights": weights, "ids": data["ids"].astype(np.int32)}
 
 

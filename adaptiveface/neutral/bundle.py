@@ -16,7 +16,7 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.mesh import surface_points, transform_points
 from ..model.face_model import FaceModel
-from ..model.feature_set import FeatureSet
+from ..model.feature_set import FeatureSet, opening_of
 from ..registration.step import apply_rigid_update
 from ..tracking.bounded import bounded_least_squares
 from ..tracking.feature_rows import turns
@@ -68,7 +68,7 @@ class BundleProblem:
     """The energy of :func:`solve_bundle` and its linearisation, frame by frame."""
 
     def __init__(self, model: FaceModel, landmarks: FeatureSet, modes: int) -> None:
-        self.landmarks = landmarks
+        self.landmarks, self.names = landmarks, model.generic_names
         at = landmarks.triangles, landmarks.weights
         modes = min(modes, len(model.identity_modes))
         self.mean = surface_points(model.mean, *at)
@@ -93,7 +93,7 @@ class BundleProblem:
         Rows are in standard deviations; the values are those at zero identity, offset and expression and at ``pose``.
         """
         points = self.points(identity, offsets, x)
-        pixels = view.pixels - self.landmarks.slides(pose, view.camera)
+        pixels = view.pixels - self.landmarks.slides(pose, view.camera, points, opening_of(self.names, x))
         seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
         moved = transform_points(pose, points[seen])
         centre = moved.mean(axis=0)

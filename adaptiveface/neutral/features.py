@@ -165,11 +165,10 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
     landmarks = model.landmarks
     if landmarks is None or not _detected(scan):
         return landmarks
-
-    seen = _landmarks_seen(scan, landmarks)
+    points = landmarks.points(vertices)
+    seen = _turned_back(scan, _landmarks_seen(scan, landmarks), landmarks, points)
     constraints = _landmark_constraints(scan, seen, landmarks, model, vertices)
     count = min(float(sum(features is not None for features in seen)), INDEPENDENT)
-    points = landmarks.points(vertices)
     prior = 1.0 / (landmarks.personal[:, None] * [1.0, 1.0, ALONG]) ** 2
     evidence = count * constraints.seen / landmarks.deviations(0.0) ** 2
     h = evidence[:, None, None] * constraints.A + prior[:, :, None] * np.eye(3)
@@ -234,6 +233,17 @@ def _landmarks_seen(scan: FusedScan, landmarks: FeatureSet) -> list[Features2D |
         pixels = None if features is None else landmarks.pixels(features)
         seen.append(None if pixels is None else Features2D(pixels, landmarks.trust(pose)))
     return seen
+
+
+def _turned_back(
+    scan: FusedScan, seen: list[Features2D | None], landmarks: FeatureSet, points: np.ndarray
+) -> list[Features2D | None]:
+    """Landmarks without what the detector's mesh turns too far, which is no person's own; ``points`` (L, 3) head frame, mm."""
+    excess = replace(landmarks, offset=np.zeros_like(landmarks.offset))
+    return [
+        None if features is None else replace(features, pixels=features.pixels - excess.slides(pose, camera, points))
+        for features, pose, camera in zip(seen, scan.poses, scan.cameras, strict=True)
+    ]
 
 
 def _landmark_constraints(

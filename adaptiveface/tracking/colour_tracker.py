@@ -17,6 +17,7 @@ from ..geometry.camera import Camera
 from ..geometry.frame import Features2D, RgbdFrame
 from ..geometry.mesh import transform_points
 from ..model.actor import Actor
+from ..model.feature_set import opening_of
 from ..parameters import Parameters
 from .base import Tracker, timed
 from .detection import pose_from_features
@@ -41,6 +42,8 @@ MIN_FEATURES = 6
 FIRST_ROUNDS = 3
 #: Neighbouring landmarks err alike: together they count as this share of independent ones.
 SHARE = 0.3
+#: A landmark that is this many deviations off, beside what all of them are off, counts half.
+OUTLIER = 3.0
 #: What a confidence of 1 amounts to at the reference focal length, 1/mm^2.
 CERTAIN = 5e-5 * REFERENCE_FOCAL**2
 
@@ -103,7 +106,7 @@ class ColourTracker(Tracker):
             anchor_distance=anchor,
             adaptive_distance=adaptive,
             stage_ms=ms,
-            held_out=self.held_out.measure(face, camera, pose, v4),
+            held_out=self.held_out.measure(face, camera, pose, v4, x),
         )
 
     def _observed(self, frame: RgbdFrame) -> RgbdFrame:
@@ -115,11 +118,15 @@ class ColourTracker(Tracker):
         forty = len(features.confidence)
         pixels, trust, own = np.full((len(landmarks), 2), np.nan), np.zeros(len(landmarks)), features.confidence
         if features.face is not None:
-            points = self.blendshapes.feature_points(self.state.coefficients)[:forty]
-            pose = self.pose if self.pose is not None else pose_from_features(frame, points)
+            x = self.state.coefficients
+            points = self.blendshapes.feature_points(x)
+            pose = self.pose if self.pose is not None else pose_from_features(frame, points[:forty])
             if pose is not None:
-                pixels, own = landmarks.pixels(features) - landmarks.slides(pose, frame.camera), np.zeros(forty)
-                trust = np.minimum(SHARE / CERTAIN * landmarks.trust(pose), 1.0)
+                opening = opening_of(self.actor.expression_names, x)
+                slides = landmarks.slides(pose, frame.camera, points[forty:], opening)
+                pixels, own = landmarks.pixels(features) - slides, np.zeros(forty)
+                trust = landmarks.trust(pose)
+                trust = np.minimum(SHARE / CERTAIN * trust * _believed(pixels, points[forty:], trust, pose, frame.camera), 1.0)
         joined = Features2D(np.concatenate([features.pixels, pixels]), np.concatenate([own, trust]))
         return replace(frame, features=joined)
 
@@ -141,6 +148,20 @@ class ColourTracker(Tracker):
     def _lose(self, frame: RgbdFrame, ms: dict[str, float], reason: str) -> TrackedFrame:
         self.forget()
         return self.untracked(frame, reason, ms)
+
+
+def _believed(pixels: np.ndarray, points: np.ndarray, trust: np.ndarray, pose: np.ndarray, camera: Camera) -> np.ndarray:
+    """(L,) weights in (0, 1] of landmarks at ``pixels`` (L, 2), where the last frame's face has them at ``points`` (L, 3).
+
+    Expressions that the rig does not have move some of them far off, and turned the head; ``trust`` (L,) 1/mm^2. The motion
+    of the whole head since that frame, their median, is no error.
+    """
+    expected = transform_points(pose, points)
+    if (expected[:, 2] < 1.0).any():
+        return np.ones(len(points))
+    off = (pixels - camera.project(expected)) * expected[:, 2:] / camera.fx
+    square: np.ndarray = ((off - np.median(off, axis=0)) ** 2).sum(axis=1) * trust
+    return 1.0 / (1.0 + square / OUTLIER**2)
 
 
 def in_front(pose: np.ndarray) -> bool:

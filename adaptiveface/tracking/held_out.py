@@ -11,6 +11,7 @@ from ..geometry.camera import Camera
 from ..geometry.frame import DetectedFace
 from ..geometry.mesh import transform_points
 from ..model.actor import Actor
+from ..model.feature_set import opening_of
 
 #: MediaPipe's corners of the right and of the left eye.
 EYES = ((33, 133), (362, 263))
@@ -26,22 +27,28 @@ class HeldOut:
         known = landmarks is not None and landmarks.held_out.any() and set(np.ravel(EYES)) <= set(landmarks.ids)
         self._landmarks = held = landmarks.select(landmarks.held_out) if landmarks is not None and known else None
         self.regions: tuple[str, ...] = ()
+        self._expressions = actor.expression_names
         if landmarks is not None and held is not None:
             self.regions = tuple(dict.fromkeys(str(region) for region in held.regions))
             points = dict(zip(landmarks.ids.tolist(), landmarks.points(actor.neutral), strict=True))
             right, left = (np.mean([points[number] for number in eye], axis=0) for eye in EYES)
             self._eyes = float(np.linalg.norm(left - right))
 
-    def measure(self, face: DetectedFace | None, camera: Camera, pose: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    def measure(
+        self, face: DetectedFace | None, camera: Camera, pose: np.ndarray, vertices: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
         """(R,) mean error of every region, % of the eyes' distance, across the view; empty where nothing was detected.
 
-        ``face`` as detected; ``vertices`` (N, 3) in the head frame, ``pose`` (4, 4) head to camera.
+        ``face`` as detected; ``vertices`` (N, 3) in the head frame, ``pose`` (4, 4) head to camera, ``coefficients``
+        (A,) of the actor's expressions.
         """
         landmarks = self._landmarks
         if landmarks is None or face is None:
             return np.zeros(0)
-        points = transform_points(pose, landmarks.points(vertices))
-        off = face.mesh[landmarks.ids, :2] - landmarks.slides(pose, camera) - camera.project(points)
+        places = landmarks.points(vertices)
+        slides = landmarks.slides(pose, camera, places, opening_of(self._expressions, coefficients))
+        points = transform_points(pose, places)
+        off = face.mesh[landmarks.ids, :2] - slides - camera.project(points)
         error = np.linalg.norm(off / [camera.fx, camera.fy], axis=1) * points[:, 2] / self._eyes * 100.0
         return np.array([error[landmarks.regions == region].mean() for region in self.regions])
 

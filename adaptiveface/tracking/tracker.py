@@ -142,7 +142,7 @@ class FaceTracker(Tracker):
             anchor,
             adaptive,
             ms,
-            held_out=self.held_out.measure(face, frame.camera, pose, v4),
+            held_out=self.held_out.measure(face, frame.camera, pose, v4, x),
         )
 
     # ---- section 4.1 -----------------------------------------------------------------------------------------------
