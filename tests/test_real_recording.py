@@ -14,9 +14,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from adaptiveface.cli import main
+from adaptiveface.evaluation import actor_regions
 from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS
 from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points, transform_points
 from adaptiveface.model.actor import Actor
+from adaptiveface.neutral.capture import capture_neutral
 from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording
@@ -169,3 +171,35 @@ def test_refined_features_lie_closer_to_the_rigid_head(mannequin, actor_file, tr
         before, after = (np.nanmedian(np.array(errors[name])[:, FEATURE_REGIONS == region]) for name in ("detected", "refined"))
         print(f"{region}: detected {before:.2f} px, refined {after:.2f} px")
         assert after < 0.9 * before
+
+
+@pytest.mark.slow
+def test_dense_skin_holds_a_plain_glossy_head_better(mannequin, detector):
+    """How far vertices slide against the rigid head, without and with the colours of the whole face, within 45 degrees.
+
+    The poses are those by which the neutral's own frames, every second one, were registered. The cheeks have no texture and
+    shine: what they show must not pull.
+    """
+    recording = Recording(mannequin)
+    frames = [recording.read(index) for index in range(len(recording))]
+    frames = [dataclasses.replace(frame, features=detector.detect(frame)) for frame in frames]
+    capture = capture_neutral(frames[::2])
+    poses = {2 * number: pose for number, pose in zip(capture.scan.frames, capture.scan.poses, strict=True)}
+    regions = {"face": capture.actor.frontal & capture.actor.depth_valid, **actor_regions(capture.actor)}
+    slides = {}
+    for on in (False, True):
+        tracker, rows = FaceTracker(capture.actor, Parameters().set(skin__on=on)), []
+        for index in reversed(range(len(frames))):
+            tracked, pose = tracker.track(frames[index]), poses.get(index)
+            if pose is None or not tracked.tracked or np.degrees(np.arccos(-pose[2, 2])) > 45:
+                continue
+            camera = frames[index].camera
+            truth = camera.project(transform_points(pose, capture.actor.neutral))
+            rows.append(np.linalg.norm(camera.project(tracked.in_camera(tracked.v4)) - truth, axis=1))
+        slides[on] = {name: float(np.median(np.array(rows)[:, inside])) for name, inside in regions.items()}
+    for name in regions:
+        print(f"{name}: {slides[False][name]:.2f} px without, {slides[True][name]:.2f} px with")
+    assert len(rows) >= 30
+    assert slides[True]["face"] < min(0.7, slides[False]["face"])
+    for name in regions:
+        assert slides[True][name] < slides[False][name] + 0.05, name

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..caches.compiled import compiled
+
 #: Deviations of the gain from one and of the offsets (%) from zero.
 GAIN, OFFSET = 0.3, 20.0
 #: Share of the expected colours' variance that is found again in a picture: it tells nothing below the first, and is fully
@@ -22,43 +24,73 @@ EXPLAINED = (0.3, 0.6)
 _ROUNDS = 2
 
 
+@compiled(nogil=True)
 def robust(residuals: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Weights in (0, 1] of residuals with these variances: a quarter for one of 1.7 standard deviations."""
-    weights: np.ndarray = (1.0 + residuals**2 / (3.0 * variances)) ** -2
+    """Weights in (0, 1] of residuals (Q, 3) with these variances: a quarter for one of 1.7 standard deviations."""
+    weights = np.empty(residuals.shape)
+    for q in range(len(residuals)):
+        for c in range(3):
+            weights[q, c] = (1.0 + residuals[q, c] ** 2 / (3.0 * variances[q, c])) ** -2
     return weights
 
 
+@compiled(nogil=True)
 def fit_light(values: np.ndarray, colours: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The light (3, 5) of a picture that shows ``values`` (Q, 3) where the neutral has ``colours`` (Q, 3).
 
     normals (Q, 3) in the camera frame; weights (Q, 3): one over the variances, 0 for what is not seen. Per channel: the gain
     and the four offsets of the module's equation, by least squares with robust weights.
     """
-    seen = np.flatnonzero(weights[:, 0])
-    values, weights, basis = values[seen], weights[seen], _basis(colours[seen], normals[seen])
-    precision = np.diag([GAIN**-2, *[OFFSET**-2] * 4])
-    light, before = np.zeros((3, 5)), precision @ [1.0, 0, 0, 0, 0]
-    for c, rows in enumerate(basis):
-        share = weights[:, c]
+    light, row = np.zeros((3, 5)), np.ones(5)
+    for c in range(3):
+        scale = 0.0  # of the squares in the round before
         for number in range(_ROUNDS):
-            weighted = rows.T * share
-            light[c] = np.linalg.solve(weighted @ rows + precision, weighted @ values[:, c] + before)
+            matrix, right, squares, seen = np.zeros((5, 5)), np.zeros(5), 0.0, 0
+            for k in range(5):
+                matrix[k, k] = GAIN**-2 if k == 0 else OFFSET**-2
+            right[0] = GAIN**-2
+            for q in range(len(values)):
+                share = weights[q, c]
+                if share == 0.0:
+                    continue
+                row[0] = colours[q, c]
+                for k in range(3):
+                    row[2 + k] = normals[q, k]
+                if number:
+                    left = values[q, c]
+                    for k in range(5):
+                        left -= row[k] * light[c, k]
+                    share *= (1.0 + weights[q, c] * left**2 / (3.0 * scale)) ** -2
+                for k in range(5):
+                    right[k] += share * row[k] * values[q, c]
+                    for m in range(k + 1):
+                        matrix[k, m] += share * row[k] * row[m]
+            for k in range(5):
+                for m in range(k):
+                    matrix[m, k] = matrix[k, m]
+            light[c] = np.linalg.solve(matrix, right)
             if number < _ROUNDS - 1:
-                squares = weights[:, c] * (values[:, c] - rows @ light[c]) ** 2
-                share = weights[:, c] * robust(np.sqrt(squares), np.maximum(squares.mean(), 1e-12))
+                for q in range(len(values)):
+                    if weights[q, c] == 0.0:
+                        continue
+                    left = values[q, c] - light[c, 0] * colours[q, c] - light[c, 1]
+                    for k in range(3):
+                        left -= normals[q, k] * light[c, 2 + k]
+                    squares += weights[q, c] * left**2
+                    seen += 1
+                scale = max(squares / max(seen, 1), 1e-12)
     return light
 
 
+@compiled(nogil=True)
 def in_light(light: np.ndarray, colours: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """The neutral's colours (Q, 3) as they are expected in a ``light`` (3, 5)."""
-    expected: np.ndarray = colours * light[:, 0] + light[:, 1] + normals @ light[:, 2:].T
+    expected = np.empty(colours.shape)
+    for q in range(len(colours)):
+        for c in range(3):
+            offset = light[c, 1] + normals[q, 0] * light[c, 2] + normals[q, 1] * light[c, 3] + normals[q, 2] * light[c, 4]
+            expected[q, c] = light[c, 0] * colours[q, c] + offset
     return expected
-
-
-def _basis(colours: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(3, Q, 5) rows of every channel: its colour, one, and the normal."""
-    offsets = np.broadcast_to(np.column_stack([np.ones(len(normals)), normals]), (3, len(normals), 4))
-    return np.concatenate([colours.T[:, :, None], offsets], axis=2)
 
 
 def trust(residuals: np.ndarray, expected: np.ndarray, weights: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -68,9 +100,10 @@ def trust(residuals: np.ndarray, expected: np.ndarray, weights: np.ndarray, coun
     against it. Each by itself, and all of them by the sum: a colour that changes little over the face fits where all is
     displaced, too.
     """
-    left = np.maximum((weights * residuals**2).sum(axis=0) - counts.sum(), 0.0)
-    middle = (weights * expected).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-12)
-    there = (weights * (expected - middle) ** 2).sum(axis=0)
+    left = np.maximum(np.einsum("qc,qc,qc->c", weights, residuals, residuals) - counts.sum(), 0.0)
+    total = np.maximum(weights.sum(axis=0), 1e-12)
+    middle = np.einsum("qc,qc->c", weights, expected) / total
+    there = np.maximum(np.einsum("qc,qc,qc->c", weights, expected, expected) - total * middle**2, 0.0)
     explained = 1.0 - np.append(left, left.sum()) / np.maximum(np.append(there, there.sum()), 1e-12)
     share = np.clip((explained - EXPLAINED[0]) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
     believed: np.ndarray = share[3] * share[:3]
