@@ -89,7 +89,10 @@ def test_it_is_saved_with_the_actor_and_checked(actor, tmp_path):
     with np.load(path) as data:
         arrays = dict(data)
     np.savez(path, **{name: array for name, array in arrays.items() if not name.startswith("skin_")})
-    assert Actor.load(path).skin is None  # as older versions wrote it
+    assert Actor.load(path).skin is None
+    older = {name: array for name, array in arrays.items() if name not in ("skin_slopes", "skin_coherence")}
+    np.savez(path, **older, skin_detail=np.ones(len(arrays["skin_triangles"])))  # colours of another kind
+    assert Actor.load(path).skin is None
     for name, value in {
         "skin_triangles": arrays["skin_triangles"] + 10**6,
         "skin_weights": arrays["skin_weights"] * 2,

@@ -88,10 +88,14 @@ class Array:
 
 @dataclass(frozen=True)
 class Part:
-    """A record within a record: its arrays are stored with ``prefix`` before their names, all of them or none."""
+    """A record within a record: its arrays are stored with ``prefix`` before their names, all of them or none.
+
+    ``renewed``: arrays that its form of today brought. A file with none of them holds an older form, which is left out.
+    """
 
     kind: type
     prefix: str
+    renewed: tuple[str, ...] = ()
 
 
 def array(
@@ -115,9 +119,9 @@ def array(
     return dataclasses.field(default=default, default_factory=default_factory, metadata={_KEY: stored})
 
 
-def part(kind: type, prefix: str) -> Any:
+def part(kind: type, prefix: str, renewed: tuple[str, ...] = ()) -> Any:
     """A dataclass field that holds another record or None, stored as :class:`Part` says."""
-    return dataclasses.field(default=None, metadata={_KEY: Part(kind, prefix)})
+    return dataclasses.field(default=None, metadata={_KEY: Part(kind, prefix, renewed)})
 
 
 def declared(cls: type) -> Iterator[tuple[str, Array]]:
@@ -183,6 +187,8 @@ def by_attribute(cls: type, path: str | os.PathLike, data: dict[str, np.ndarray]
     out = _converted(cls, path, data, sizes, double)
     for attribute, inner in parts(cls):
         own = {e.name: data[inner.prefix + e.name] for _, e in declared(inner.kind) if inner.prefix + e.name in data}
+        if inner.renewed and own.keys().isdisjoint(inner.renewed):
+            own = {}
         needed = (entry.name for _, entry in declared(inner.kind) if not entry.optional)
         missing = [inner.prefix + name for name in needed if name not in own]
         if own and missing:

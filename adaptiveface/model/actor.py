@@ -57,7 +57,7 @@ class Actor:
     feature_ids: np.ndarray = array("40", "i4", "iBUG-68 numbers of the features", default_factory=lambda: FEATURE_IDS)
     appearance: Appearance | None = part(Appearance, "appearance_")
     landmarks: FeatureSet | None = part(FeatureSet, _LANDMARK)
-    skin: Skin | None = part(Skin, "skin_")
+    skin: Skin | None = part(Skin, "skin_", renewed=("slopes", "coherence"))
 
     @classmethod
     def untransferred(cls, model: FaceModel, neutral: np.ndarray) -> Actor:
