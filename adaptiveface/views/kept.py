@@ -27,19 +27,26 @@ def in_own_pages(array: np.ndarray) -> np.ndarray:
 
 
 class KeptFrame(TrackedFrame):
-    """A tracked frame as it was, with meshes (N, 3) in single precision that :class:`Keeper` makes on demand."""
+    """A tracked frame as it was, with meshes (N, 3) in single precision that :class:`Keeper` makes on demand.
 
-    def __init__(self, result: TrackedFrame, keeper: Keeper) -> None:
+    A copy with changes (``dataclasses.replace``) holds its meshes itself.
+    """
+
+    @classmethod
+    def of(cls, result: TrackedFrame, keeper: Keeper) -> KeptFrame:
+        """The frame ``result`` as its ``keeper`` keeps it."""
+        kept = cls.__new__(cls)
         for entry in fields(TrackedFrame):
             if entry.name not in MESHES:
-                object.__setattr__(self, entry.name, getattr(result, entry.name))
-        object.__setattr__(self, "_keeper", keeper)
-        object.__setattr__(self, "_parts", keeper.parts(result))
+                object.__setattr__(kept, entry.name, getattr(result, entry.name))
+        object.__setattr__(kept, "_keeper", keeper)
+        object.__setattr__(kept, "_parts", keeper.parts(result))
+        return kept
 
-    v1 = property(lambda self: self._keeper.meshes(self)[0])
-    v2 = property(lambda self: self._keeper.meshes(self)[1])
-    v3 = property(lambda self: self._keeper.meshes(self)[2])
-    v4 = property(lambda self: self._keeper.meshes(self)[3])
+    def __getattr__(self, name: str) -> np.ndarray:
+        if name not in MESHES:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return self._keeper.meshes(self)[MESHES.index(name)]
 
 
 class Keeper:
@@ -61,7 +68,7 @@ class Keeper:
 
     def keep(self, result: TrackedFrame) -> KeptFrame:
         """A result to keep; the meshes of the last few can be had at no cost."""
-        return result if isinstance(result, KeptFrame) else KeptFrame(result, self)
+        return result if isinstance(result, KeptFrame) else KeptFrame.of(result, self)
 
     def parts(self, result: TrackedFrame) -> list[tuple[int, np.ndarray]]:
         """For every mesh which rows differ from the mesh before, and these rows, float32."""
