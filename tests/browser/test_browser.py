@@ -110,7 +110,7 @@ def check_exaggeration(page, face) -> None:
 
     def differences() -> np.ndarray:
         """(2,) share of pixels that differ, of the left and of the right head."""
-        different = np.abs(lab.pixels(face) - before).max(axis=2) > 12
+        different = np.abs(lab.pixels(face) - before)[2:-2, 2:-2].max(axis=2) > 12  # a neighbour may touch the rim
         half = different.shape[1] // 2
         return np.array([different[:, :half].mean(), different[:, half:].mean()])
 
