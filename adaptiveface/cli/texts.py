@@ -16,7 +16,7 @@ TEXTS: dict[str, tuple[str, str, str]] = {
     ),
     "track": (
         "track every frame of a recording (result.npz)",
-        "Without --actor, the rig is captured from the beginning of the recording, which has to show the resting face.",
+        "Without --actor, the rig is captured from the recording, which should begin with the resting face. A video need not.",
         "adaptiveface track my-take --actor actor.npz --out result.npz --report report",
     ),
     "record": (

@@ -75,6 +75,11 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
         help="also carry what the blendshapes lack (v4 - v1) to a character with the actor's mesh",
     )
     add_actor(command, "the one beside the result")
+    _add_film(command)
+
+
+def _add_film(command: argparse.ArgumentParser) -> None:
+    """Options of films: what stands beside the mesh, and how it is seen."""
     command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
     add_field_of_view(command)
     command.add_argument(

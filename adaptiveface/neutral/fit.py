@@ -152,6 +152,19 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
         reach = float(np.clip(6 * 1.4826 * history[-1], 4.0, parameters.max_correspondence_distance))
     vertices, normals = _posed(model, head, prior)
     found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
+    return _fitted(scan, model, head, prior, found, vertices, np.array(history))
+
+
+def _fitted(
+    scan: FusedScan,
+    model: FaceModel,
+    head: _Head,
+    prior: ExpressionPrior | None,
+    found: ScanCorrespondences,
+    vertices: np.ndarray,
+    history: np.ndarray,
+) -> IdentityFit:
+    """The result, and how far its posed ``vertices`` (V, 3) lie from the scan, by the pairs ``found`` and by the features."""
     matched = np.zeros(len(vertices), bool)
     matched[found.vertices] = True
     constraints = constraints_on(scan, model, vertices)
@@ -164,7 +177,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
         float(np.median(np.abs(found.distances))),
         matched,
         np.where(constraints.seen, rms, np.nan),
-        np.array(history),
+        history,
     )
 
 

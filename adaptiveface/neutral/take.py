@@ -15,7 +15,7 @@ from .choice import LOOK, Judged, choose, costs, doubts, judge, leading_is_calm
 #: A face counts as found in a frame from this many valid features on.
 MIN_FEATURES = 6
 #: How to name the frames.
-WAY_OUT = "--neutral-frames 100:140 takes these frames"
+WAY_OUT = "--neutral-frames FIRST:LAST takes others"
 Step = Callable[[], object]
 
 

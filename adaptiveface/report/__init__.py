@@ -88,7 +88,20 @@ def write_report(
         context = replace(context, evaluation=score(context, step))
         note = f"Scored here: every {_ordinal(step)} frame." if step > 1 else ""
     name = str(getattr(context.source, "name", "a performance"))
-    body: list[Markup | str] = [
+    about_retargeting = retargeting.section(context, load_character(character), known, still_frames)
+    body = _body(context, name, note, about_retargeting, _whole_mesh(correctives, actor))
+    path = Path(out_dir) / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as unfinished:
+        unfinished.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8", errors="backslashreplace")
+    return path
+
+
+def _body(
+    context: Context, name: str, note: str, about_retargeting: Markup | str, correctives: np.ndarray | None
+) -> list[Markup | str]:
+    """The sections in their order."""
+    return [
         sections.heading(name, context.result.colour_only),
         sections.doubt(context),
         scenes.preview(context),
@@ -98,18 +111,13 @@ def write_report(
         scenes.tracked_frames(context),
         scenes.rig(context),
         sections.coefficients(context),
-        retargeting.section(context, load_character(character), known, still_frames),
-        sections.learning(context, _whole_mesh(correctives, actor)),
+        about_retargeting,
+        sections.learning(context, correctives),
         sections.errors(context, note),
         sections.timings(context),
         sections.parameters(context),
         sections.footer(),
     ]
-    path = Path(out_dir) / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as unfinished:
-        unfinished.write_text(page.page(f"{name}: tracked performance", body), encoding="utf-8", errors="backslashreplace")
-    return path
 
 
 def _context(result, source, actor, truth, evaluation: Evaluation | None, parameters: Parameters | None) -> Context:

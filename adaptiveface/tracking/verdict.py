@@ -26,10 +26,10 @@ TURNED, BARE, WRONG_SIZE, MISFIT = (
 )
 #: The likely cause of each, and the way out.
 LIKELY = {
-    TURNED: "perhaps the neutral was not seen from the front: --neutral-frames 100:140 takes these frames",
+    TURNED: "perhaps the neutral was not seen from the front: --neutral-frames FIRST:LAST takes others",
     BARE: "perhaps colour and depth are not aligned, or the face is out of the sensor's range",
     WRONG_SIZE: "perhaps the unit of depth (depth_scale) is not that of the neutral, or it is another person's",
-    MISFIT: "perhaps the neutral was not a calm face seen from the front (--neutral-frames 100:140 takes these frames), or it "
+    MISFIT: "perhaps the neutral was not a calm face seen from the front (--neutral-frames FIRST:LAST takes others), or it "
     "is another person's",
 }
 

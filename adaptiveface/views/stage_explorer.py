@@ -257,7 +257,7 @@ def how_many(results: Sequence[TrackedFrame]) -> str:
         return ""
     why = ", ".join(f"{reason} ({count})" for reason, count in lost.most_common(3))
     count = f"{len(results) - lost.total()} of {len(results)} frames are tracked; the others: {why}"
-    return "; ".join(filter(None, (count, verdict_of(results).replace("--neutral-frames 100:140 takes", f"{NAMED} takes"))))
+    return "; ".join(filter(None, (count, verdict_of(results).replace("--neutral-frames FIRST:LAST takes", f"{NAMED} takes"))))
 
 
 class SeriesCache:
