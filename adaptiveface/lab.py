@@ -35,6 +35,9 @@ SETTINGS = {
     "@jupyterlab/apputils-extension:kernels-settings": {"commsOverSubshells": "disabled"},
     "@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": False},
 }
+#: What JupyterLab's page is told: no build. A package with an extension in source form (dash, which Open3D brings) otherwise
+#: puts a dialog "Build Recommended" in front of the notebook, whose answer needs Node.js and the network.
+PAGE = {"buildCheck": False, "buildAvailable": False}
 
 
 def packaged_notebooks() -> Path:
@@ -111,8 +114,9 @@ def lab_environment(folder: Path, environment: dict[str, str] | None = None) -> 
     state = (folder / STATE).resolve()
     settings = state / "config" / "labconfig"
     settings.mkdir(parents=True, exist_ok=True)
-    with replacing(settings / "default_setting_overrides.json") as temporary:
-        temporary.write_text(json.dumps(SETTINGS, indent=1) + "\n", encoding="utf-8")
+    for name, content in (("default_setting_overrides", SETTINGS), ("page_config", PAGE)):
+        with replacing(settings / f"{name}.json") as temporary:
+            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     (state / "no-wasm").mkdir(exist_ok=True)
     others = [values["JUPYTER_CONFIG_PATH"]] if values.get("JUPYTER_CONFIG_PATH") else []
     values["JUPYTER_CONFIG_PATH"] = os.pathsep.join([str(state / "config"), *others])

@@ -79,6 +79,14 @@ def test_environment_for_machines_without_a_display(tmp_path):
     assert list(Path(values["VTK_WASM_DIR_OVERRIDE"]).iterdir()) == []
 
 
+def test_no_dialog_asks_for_a_build(tmp_path, monkeypatch):
+    """JupyterLab itself reads it: with an extension in source form it would ask "Build Recommended" over the notebook."""
+    get_page_config = pytest.importorskip("jupyterlab_server.config").get_page_config
+    monkeypatch.setenv("JUPYTER_CONFIG_PATH", lab.lab_environment(tmp_path, {})["JUPYTER_CONFIG_PATH"])
+    told = get_page_config([])
+    assert (told["buildCheck"], told["buildAvailable"]) == (False, False)
+
+
 def test_command_listens_on_this_machine_only(source, tmp_path):
     lab.copy_notebooks(tmp_path, source)
     command = lab.lab_command(tmp_path, 8899, browser=False)
