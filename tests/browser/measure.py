@@ -14,6 +14,7 @@ import os
 import statistics
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import lab
@@ -90,8 +91,15 @@ def live_view(folder: Path, address: str) -> None:
     (folder / name).write_text(text.replace("LiveView(SOURCE, ACTOR, ", "LiveView(SOURCE, ACTOR, detect=True, "), "utf-8")
     with lab.chromium_page() as page:
         lab.open_notebook(page, address, name)
-        lab.run_cells(page, lab.cell_with(name, "views.LiveView("))
+        started = lab.cell_with(name, "views.LiveView(")
+        lab.run_cells(page, started - 1)
+        start = time.monotonic()
+        lab.run_cells(page, started)
         lab.wait_for_text(page, ".adaptiveface-live-status", "tracking", 180)
+        page.evaluate("() => { window.loads.face = []; }")
+        page.wait_for_function("() => window.loads.face.length > 0")
+        first = time.monotonic() - start
+        print(f"{name}: first tracked picture after {first:.1f} s, scan included (load {os.getloadavg()[0]:.1f})", flush=True)
         page.wait_for_timeout(3000)
         rate = lab.pictures_per_second(page, 2 * SECONDS)
         figures = page.locator(".adaptiveface-live-figures").inner_text()
