@@ -181,7 +181,8 @@ class Light:
     shininess: float = 18.0
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """(P, 3) vectors of length 1."""
     return vectors / np.maximum(np.sqrt(np.einsum("pd,pd->p", vectors, vectors)), 1e-9)[:, None]
 
 
@@ -198,9 +199,18 @@ def irradiance(normals: np.ndarray, towards_camera: np.ndarray, light: Light) ->
     # A wrapped cosine stands for the light that skin scatters into the shadow.
     wrapped = np.clip((normals @ key + 0.35) / 1.35, 0, None)
     diffuse = light.ambient + light.head * facing + light.key * wrapped
-    half = _unit(towards_camera + key)
+    half = unit(towards_camera + key)
     specular = light.specular * np.clip(np.einsum("pd,pd->p", normals, half), 0, 1) ** light.shininess
     return diffuse, specular
+
+
+def seen_surface(hits: Hits, vertices: np.ndarray, triangles: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Smooth normals and directions to the camera (P, 3), unit vectors of the P hits (in the order of ``hits.mask``)."""
+    normals = hits.interpolate(vertex_normals(vertices, triangles), triangles)
+    v, u = np.nonzero(hits.mask)
+    u0, v0 = hits.window[:2]
+    ray = np.stack([(u + u0 - camera.cx) / camera.fx, (v + v0 - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
+    return unit(normals), unit(-ray)
 
 
 def illuminate(
@@ -211,11 +221,7 @@ def illuminate(
     vertices (N, 3) in the camera frame, triangles (T, 3): the mesh of the hits; albedo (P, 3) or (3,) in 0..255; gloss:
     factor of the specular light, a number or (P,).
     """
-    normals = hits.interpolate(vertex_normals(vertices, triangles), triangles)
-    v, u = np.nonzero(hits.mask)
-    u0, v0 = hits.window[:2]
-    ray = np.stack([(u + u0 - camera.cx) / camera.fx, (v + v0 - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
-    diffuse, specular = irradiance(_unit(normals), _unit(-ray), light)
+    diffuse, specular = irradiance(*seen_surface(hits, vertices, triangles, camera), light)
     return albedo * diffuse[:, None] + 255 * (gloss * specular)[:, None]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from ..errors import EndOfRecording, FrameError, ParameterError
+from ..errors import EndOfRecording, FrameError
 from ..geometry.frame import RgbdFrame
 from ..synthetic.noise import DEPTH_SCALES
 from .driver import Driver, RawFrame
@@ -75,15 +75,12 @@ class SyntheticDriver(Driver):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """The performer of ``[SEED[:NOISE]]``; its frames are rendered once for all reconnections."""
-        seed, _, noise = argument.partition(":")
-        if seed and not (seed.isascii() and seed.isdecimal() and len(seed) <= 9):
-            raise ParameterError(f"synthetic:{argument}: the seed {seed!r} is not a whole number of at most 9 digits")
-        if noise and noise not in NOISES:
-            raise ParameterError(f"synthetic:{argument}: unknown noise {noise!r}; possible: {', '.join(NOISES)}")
+        """The performer of ``[SEED[:NOISE][:skin=SKIN]...]``; its frames are rendered once for all reconnections."""
+        from ..synthetic.look import parse_performer
         from ..synthetic.sensor import SyntheticSensor
 
-        source = SyntheticSensor(int(seed or 0), noise or NOISES[0], NEUTRAL_FRAMES, EXPRESSION_FRAMES, repeats=1)
+        seed, noise, look = parse_performer(argument)
+        source = SyntheticSensor(seed or 0, noise or NOISES[0], NEUTRAL_FRAMES, EXPRESSION_FRAMES, repeats=1, look=look)
         frames: list[RgbdFrame] = []
         return lambda: cls(source, frames)
 

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 from ..errors import FileFormatError, ParameterError
 from ..geometry.camera import Camera
 from ..geometry.frame import RgbdFrame
+from ..synthetic.look import CHOICES, PERFORMER, parse_performer
 from .file_player import plays
 from .orientation import OrientedSource, split_mirrored
 from .playback import NOISES
@@ -17,7 +18,8 @@ from .video_file import VIDEO_SUFFIXES, VideoFile, is_video
 
 _POSSIBLE = (
     "possible sources: a recording folder (with intrinsic.json, depth/, color/), a Record3D file (.r3d), "
-    f"'synthetic' or 'synthetic:SEED[:NOISE][@take.csv]' (NOISE: {', '.join(NOISES)}; a Live Link Face CSV to perform), "
+    f"'synthetic' or 'synthetic:{PERFORMER}[@take.csv]' (NOISE: {', '.join(NOISES)}; SKIN: {', '.join(CHOICES['skin'])}; "
+    f"LIGHT: {', '.join(CHOICES['light'])}; CAMERA: {', '.join(CHOICES['camera'])}; a Live Link Face CSV to perform), "
     f"a video, colour only ({', '.join(VIDEO_SUFFIXES)}); with ',mirrored' at the end pictures are flipped"
 )
 
@@ -50,7 +52,8 @@ def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
     Parameters
     ----------
     text : str
-        A recording's folder, an ``.r3d`` file, a video, or ``synthetic[:SEED[:NOISE]][@take.csv]``. With ``,mirrored`` at
+        A recording's folder, an ``.r3d`` file, a video, or ``synthetic[:SEED[:NOISE]...][@take.csv]``,
+        whose skin, light and camera :mod:`adaptiveface.synthetic.look` names. With ``,mirrored`` at
         the end the frames are flipped, for recordings that were made as in a mirror, such as selfie videos.
     field_of_view : float, optional
         Of a video, degrees across the longer side. :class:`.video_file.VideoFile` says what is taken without it.
@@ -102,11 +105,10 @@ def _synthetic(text: str) -> FrameSource:
     from ..synthetic.take import read_take
 
     performer, at, take = text.partition(":")[2].partition("@")
-    seed, _, noise = performer.partition(":")
-    if seed and not (seed.isdecimal() and len(seed) <= 9):
-        raise ParameterError(f"{text}: the seed {seed!r} is not a whole number of at most 9 digits; {_POSSIBLE}")
-    if noise and noise not in NOISES:
-        raise ParameterError(f"{text}: unknown noise {noise!r}; {_POSSIBLE}")
+    try:
+        seed, noise, look = parse_performer(performer)
+    except ParameterError as error:
+        raise ParameterError(f"{error}; {_POSSIBLE}") from None
     if at and not take:
         raise ParameterError(f"{text}: the name of a Live Link Face CSV is expected after the @; {_POSSIBLE}")
-    return SyntheticSensor(seed=int(seed or 0), noise=noise or NOISES[0], take=read_take(take) if at else None)
+    return SyntheticSensor(seed or 0, noise or NOISES[0], take=read_take(take) if at else None, look=look)

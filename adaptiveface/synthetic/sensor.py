@@ -18,6 +18,7 @@ from ..geometry.mesh import rotation_vector_matrix, surface_points, transform_po
 from ..geometry.rendering import Hits, covering_window, ray_cast
 from ..model.face_model import FaceModel
 from ..renamed import renamed
+from .look import Look
 from .noise import DEPTH_SCALES, add_noise
 from .paint import Painter
 from .performer import Performer
@@ -66,6 +67,8 @@ class SyntheticSensor:
         Standard deviation of the 2D features, pixels per coordinate.
     colour : bool
         False leaves the pictures out, which is faster.
+    look : Look, optional
+        What the pictures show: skin, light and camera. The default is the simple skin in steady light.
     focal : float
         Focal length, pixels at a width of 640.
     distance : float
@@ -109,6 +112,7 @@ class SyntheticSensor:
         model: FaceModel | None = None,
         performer: Performer | None = None,
         take: Take | None = None,
+        look: Look | None = None,
     ) -> None:
         if noise not in DEPTH_SCALES:
             raise ParameterError(f"noise = {noise!r}: one of {', '.join(DEPTH_SCALES)} is expected")
@@ -117,6 +121,9 @@ class SyntheticSensor:
         self.seed, self.noise, self.feature_noise, self.colour = seed, noise, feature_noise, colour
         self.neutral_frames, self.frames, self.repeats = neutral_frames, frames, repeats
         self.name = f"synthetic performer {seed}, {noise} noise" + (f", take {take.name}" if take else "")
+        self.look = look or Look()
+        if str(self.look):
+            self.name += f", {self.look}".replace(":", ", ").replace("=", " ")
         self.depth_scale = DEPTH_SCALES[noise]
         f = focal * width / 640
         self.camera = Camera(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
@@ -130,10 +137,10 @@ class SyntheticSensor:
             turns = take.head_turns(self.fps) if take.turns else None
         self._motion = HeadMotion(seed, neutral_frames, self.fps, distance, turns=turns)
         self._scene = Scene(self.performer, self._motion.pose(0))
-        self._painter = Painter(self._scene, seed, self.camera) if colour else None
+        self._painter = Painter(self._scene, seed, self.camera, self.look, self.fps) if colour else None
         self._feature_drift = _drift(np.random.default_rng([seed, 0xD21F]))
         # The ground truth of a frame is mostly asked for right after the frame.
-        self._skin = lru_cache(maxsize=2)(self._deform)
+        self._skin = lru_cache(maxsize=4)(self._deform)
 
     def __len__(self) -> int:
         return self.neutral_frames + self.frames * self.repeats
@@ -152,7 +159,7 @@ class SyntheticSensor:
     def read(self, index: int) -> RgbdFrame:
         """Frame ``index`` with depth, features and (unless ``colour=False``) colour; raises IndexError outside."""
         truth = self.ground_truth(index)
-        vertices = self._scene.vertices(self._skin(index), truth.head_pose, self._gaze(truth.activations))
+        vertices = self._vertices(index)
         window = covering_window(self.camera, vertices, margin=2)
         hits = ray_cast(self.camera, vertices, self._scene.triangles, window, cull=True)
         u0, v0, u1, v1 = window
@@ -161,9 +168,23 @@ class SyntheticSensor:
         depth[v0:v1, u0:u1] = add_noise(self.noise, hits.depth, self.camera, rng)
         colour = None
         if self._painter is not None:
-            colour = self._painter.paint(hits, vertices, self.camera, np.random.default_rng([self.seed, index, 2]))
+            rng, motion = np.random.default_rng([self.seed, index, 2]), self._motion_of(index, vertices)
+            rotation = truth.head_pose[:3, :3]
+            colour = self._painter.paint(hits, vertices, self.camera, rng, index, motion, rotation)
         features = self._observe(truth, hits, index)
         return RgbdFrame(depth, self.camera, colour, index, index / self.fps, features)
+
+    def _vertices(self, index: int) -> np.ndarray:
+        """(n, 3) mm: the whole scene in the camera frame."""
+        gaze = self._gaze(self._activations(index)[0])
+        return self._scene.vertices(self._skin(index), self._motion.pose(index), gaze)
+
+    def _motion_of(self, index: int, vertices: np.ndarray) -> np.ndarray:
+        """(n, 3) mm by which the scene moves from one frame to the next, where the camera blurs it; else zeros."""
+        part = self._activations(index)[1]
+        if self.look.camera == "plain" or index == 0 or self._activations(index - 1)[1] != part:
+            return np.zeros_like(vertices)
+        return vertices - self._vertices(index - 1)
 
     def _activations(self, index: int) -> tuple[np.ndarray, int]:
         if not 0 <= index < len(self):

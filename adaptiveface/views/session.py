@@ -131,7 +131,7 @@ def load_session(
     Parameters
     ----------
     source : str or path-like
-        "synthetic", "synthetic:SEED[:NOISE]", "lesson" (:mod:`..synthetic.lesson`), a recording or a video.
+        "synthetic", "synthetic:SEED[:NOISE][:skin=SKIN]...", "lesson" (:mod:`..synthetic.lesson`), a recording or a video.
     neutral_frames : int or sequence of int
         So many with the face at rest make the rig. Of a recording they are chosen: calm ones, that see the face from as many
         sides as it shows; a sequence names them (``range(100, 140)``).
@@ -287,15 +287,16 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
 def _performance(source: str, neutral_frames: int, count: int):
     """The sensor of a synthetic source, and the numbers of the frames to take from it."""
     from ..synthetic.lesson import LessonSensor
+    from ..synthetic.look import parse_performer
     from ..synthetic.sensor import SyntheticSensor
 
     if source == LESSON:
         sensor = LessonSensor(neutral_frames=neutral_frames)
         return sensor, range(min(neutral_frames + count, len(sensor)))
-    seed, _, noise = source.partition(":")[2].partition(":")
+    seed, noise, look = parse_performer(source.partition(":")[2])
     half = max(count // 2, 1)
     # A window of a script three times as long: expressions at a natural speed, where the most happens.
-    sensor = SyntheticSensor(int(seed or 7), noise or "structured-light", neutral_frames, 3 * half, 2)
+    sensor = SyntheticSensor(7 if seed is None else seed, noise or "structured-light", neutral_frames, 3 * half, 2, look=look)
     first = neutral_frames + liveliest_window(sensor.script, half)
     return sensor, [*range(neutral_frames), *range(first, first + half), *range(first + 3 * half, first + 4 * half)]
 
