@@ -18,6 +18,7 @@ from adaptiveface.geometry.mesh import surface_points  # noqa: E402
 from adaptiveface.model.face_model import embedded_face_model  # noqa: E402
 from adaptiveface.neutral.coverage import choose_by_coverage  # noqa: E402
 from adaptiveface.views.measures import plain  # noqa: E402
+from adaptiveface.views.recorded import PROPORTIONS, read_take  # noqa: E402
 from adaptiveface.views.session import Session  # noqa: E402
 
 
@@ -71,6 +72,21 @@ def test_of_a_short_take_the_neutral_frames_are_tracked_as_well(tmp_path, capsys
         views.load_session(tmp_path / "take", first=8)
 
 
+def test_a_doubtful_neutral_is_said_plainly(session):
+    """Chosen or named: what is wrong with its frames, and what follows from it, on a line of its own."""
+    actor, frames = session.actor, []
+    for index in range(6):
+        shape = posed_shape(actor, coefficients(actor, jawOpen=0.9))
+        frames.append(render_frame(actor, shape, head_pose((0, 0.01 * index, 0)), index, pixel_noise=0.2))
+    for wanted, others in ((4, True), (range(2, 6), False)):
+        note = read_take(Session("jaw", session.camera, [], frames), wanted, 6).note
+        first, face, doubt = note.splitlines()
+        assert first == "jaw: all 6 frames are tracked." and face.startswith("The neutral face: frames ")
+        assert doubt.startswith("The neutral frames are doubtful: of 4, the face is with an open mouth in 4.")
+        assert "missing from all of them" in doubt and doubt.endswith("names others.") == others
+    assert "doubtful" not in read_take(session, 2, 6).note + read_take(session, range(2), 6).note
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_take_of_one_frame_has_a_workbench(tmp_path, count):
     actor = talking_head(tmp_path / "take", frames=count)
@@ -112,6 +128,7 @@ def test_a_video_is_tracked_by_its_features(session, tmp_path):
     """Without depth: the degraded tracker, no error of a vertex, and the distance from the features in its place."""
     flat = [dataclasses.replace(f, depth=np.zeros_like(f.depth)) for f in session.frames]
     video = dataclasses.replace(session, frames=flat, colour_only=True)
+    assert read_take(video, 2, 6).note.splitlines()[-1] == PROPORTIONS
     measures = views.Measures(video)
     chart = views.error_chart(video, measures, ("v1", "v4"))
     bench = views.StageExplorer(video, ["blendshapes"], {"v4": measures.stage("v4")}, [chart], label=measures.label)

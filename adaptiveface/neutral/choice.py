@@ -49,10 +49,14 @@ class Judged:
 
 @dataclass(frozen=True)
 class Choice:
-    """``picked``: positions of the chosen frames; ``note``: what is doubtful about them, or why it is not the first ones."""
+    """``picked``: positions of the chosen frames; ``note``: what is doubtful about them, or why it is not the first ones.
+
+    ``doubtful``: the former.
+    """
 
     picked: list[int]
     note: str = ""
+    doubtful: bool = False
 
 
 def judge(frame: RgbdFrame, points: np.ndarray) -> Judged | None:
@@ -102,7 +106,7 @@ def choose(judged: Sequence[Judged | None], count: int) -> Choice:
     calm = np.flatnonzero(cost.max(axis=1) < 1)
     frontal = [face for face in (judged[int(k)] for k in calm) if face is not None and face.angle < FRONTAL]
     if len(calm) < max(3, count // 8) or not frontal:
-        return Choice(lead, f"the neutral frames are doubtful: of {len(lead)}, {trouble}")
+        return Choice(lead, f"the neutral frames are doubtful: of {len(lead)}, {trouble}", True)
     # Not those that follow one another: between two expressions a face is at rest for a few frames only. How far they are
     # turned does not matter: the sides are wanted as well.
     expressive = cost[calm, 2:].max(axis=1)

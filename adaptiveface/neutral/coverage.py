@@ -50,7 +50,7 @@ def choose_by_coverage(frames: Sequence[RgbdFrame], points: np.ndarray, count: i
         views.append(farthest)
         nearest = {k: min(angle, _angle(directions[k], directions[farthest])) for k, angle in nearest.items()}
     kept = np.linspace(0, len(core) - 1, min(len(core), count - len(views))).round().astype(int)
-    return Choice(sorted([*views, *(core[k] for k in kept)]), choice.note)
+    return Choice(sorted([*views, *(core[k] for k in kept)]), choice.note, choice.doubtful)
 
 
 def _direction(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..errors import AdaptiveFaceError
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import surface_points
 from ..model import face_model
+from ..neutral.choice import doubts, judge
 from ..neutral.coverage import choose_by_coverage
 from ..neutral.take import face_found
 from ..pipeline import FrameReader
@@ -17,6 +20,10 @@ from ..sensors.numbered import Abilities
 
 DEGRADED = "without depth, degraded: pose and expression come from the 2D features, and nothing is learned"
 
+#: What a doubtful neutral means, after what is wrong with it.
+DOUBTFUL = "{} Every expression is measured from this face, so that what it does here is missing from all of them."
+#: How a video's head is made.
+PROPORTIONS = "The head: proportions alone, from all of these frames, whatever the face does in them."
 #: How to name the frames of the neutral face.
 NAMED = "load_session(..., neutral_frames=range(100, 140))"
 
@@ -68,24 +75,40 @@ def read_take(source: FrameSource, neutral_frames: int | Sequence[int], count: i
         raise AdaptiveFaceError(f"{source.name}: none of the frames from {first} on can be used; it has {len(source)}{why}")
     if not leading and not named:
         raise AdaptiveFaceError(f"{source.name}: no face is seen in the {numbers(neutral_frames)}, named as the neutral")
-    neutral, doubt = (named, "") if named else _chosen(found, leading)
+    neutral, said = _named(named) if named else _chosen(found, leading)
     taken = {frame.index for frame in neutral}
     leads = bool(leading) and {f.index for f in found[: len(taken)]} == taken and len(found) >= len(taken) + count
     frames = (found[len(taken) :] if leads else found)[:count]
-    return Take(neutral, frames, _note(source, neutral, frames, skipped, doubt))
+    return Take(neutral, frames, _note(source, neutral, frames, skipped, said))
 
 
 def _chosen(found: list[RgbdFrame], count: int) -> tuple[list[RgbdFrame], str]:
-    """The neutral frames, and what is doubtful about the first ones; of a take without faces its first frames."""
-    model = face_model.embedded_face_model()
-    points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
+    """The neutral frames, and what is to be said of them; of a take without faces its first frames."""
     faces = [frame for frame in found if face_found(frame)]
-    choice = choose_by_coverage(faces, points, count)
-    return [faces[k] for k in choice.picked] or found[:count], choice.note
+    choice = choose_by_coverage(faces, _feature_points(), count)
+    said = DOUBTFUL.format(_sentence(choice.note)) if choice.doubtful else _sentence(choice.note)
+    return [faces[k] for k in choice.picked] or found[:count], said and f"{said} {NAMED} names others."
 
 
-def _note(source: FrameSource, neutral: list[RgbdFrame], frames: list[RgbdFrame], skipped: dict[int, str], doubt: str) -> str:
-    """How many frames are tracked and why not more, then what the neutral is; a line each."""
+def _named(frames: list[RgbdFrame]) -> tuple[list[RgbdFrame], str]:
+    """The frames that were named, and what is doubtful about them."""
+    points = _feature_points()
+    trouble = doubts([judge(frame, points) for frame in frames])
+    return frames, trouble and DOUBTFUL.format(f"The neutral frames are doubtful: of {len(frames)}, {trouble}.")
+
+
+def _feature_points() -> np.ndarray:
+    """(40, 3) the model's features, mm."""
+    model = face_model.embedded_face_model()
+    return surface_points(model.mean, model.feature_triangles, model.feature_weights)
+
+
+def _sentence(words: str) -> str:
+    return words and f"{words[0].upper()}{words[1:]}."
+
+
+def _note(source: FrameSource, neutral: list[RgbdFrame], frames: list[RgbdFrame], skipped: dict[int, str], said: str) -> str:
+    """How many frames are tracked and why not more, then what the neutral is, and what is doubtful about it; a line each."""
     what = f"all {len(source)} frames are tracked"
     if len(frames) < len(source):
         what = f"{len(frames)} of {len(source)} frames are tracked, {numbers([frame.index for frame in frames])}"
@@ -95,14 +118,13 @@ def _note(source: FrameSource, neutral: list[RgbdFrame], frames: list[RgbdFrame]
     unseen = sum(not face_found(frame) for frame in frames)
     if unseen:
         what += f"; {unseen} of them show no face"
+    tracked = f"{source.name}: {what}."
+    if Abilities.of(source).colour_only:
+        return "\n".join([f"{source.name}: {DEGRADED}.", tracked, PROPORTIONS])
     inside = {frame.index for frame in neutral} & {frame.index for frame in frames}
     face = f"The neutral face: {numbers([frame.index for frame in neutral])}"
-    face += ", which are tracked as well" if inside else ""
-    face += f" ({doubt}; {NAMED} names others)" if doubt else ""
-    lines = [f"{source.name}: {what}.", f"{face}."]
-    if Abilities.of(source).colour_only:
-        lines.insert(0, f"{source.name}: {DEGRADED}.")
-    return "\n".join(lines)
+    face += ", which are tracked as well." if inside else "."
+    return "\n".join(line for line in (tracked, face, said) if line)
 
 
 def numbers(indices: Sequence[int]) -> str:
