@@ -18,7 +18,9 @@ LIVE = "live_sensor.ipynb"
 #: The performer whom the live notebook's "synthetic" sensor films.
 PERFORMER = "synthetic:0"
 SAVED = "actor.npz"
-_BUSY = "window.jupyterapp.shell.currentWidget.sessionContext.session.kernel.status"
+#: Whether a cell was run and none waits or runs: in between cells the kernel is idle, too.
+_RUN = """() => { const prompts = [...document.querySelectorAll('.jp-InputPrompt')].map(p => p.innerText);
+  return prompts.some(p => /\\d/.test(p)) && !prompts.some(p => p.includes('*')); }"""
 _SHOWN = ".jp-OutputArea-output:has(canvas, img, .jupyter-widgets)"
 
 
@@ -45,8 +47,7 @@ def open_with(page, address: str, name: str, **lines: str) -> str:
         page.keyboard.insert_text(f"{variable} = {value!r}")
     page.locator(".lm-MenuBar-itemLabel", has_text="Run").first.click()
     page.locator(".lm-Menu-itemLabel", has_text="Run All Cells").first.click()
-    page.wait_for_function(f"() => {_BUSY} === 'busy'", timeout=60_000)
-    page.wait_for_function(f"() => {_BUSY} === 'idle'", timeout=600_000)
+    page.wait_for_function(_RUN, timeout=900_000)
     lab.wait_for_rest(page)
     said = page.locator(".jp-CodeCell").first.locator(".jp-OutputArea-output")
     return "\n".join(text for text in said.all_inner_texts() if text.strip())
