@@ -26,14 +26,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from recordings import SMALL, talking_head
+from written import read_glb_animation, read_obj_sequence, read_usd
 
 from adaptiveface.errors import AdaptiveFaceError
 from adaptiveface.export import video
 from adaptiveface.export.animation import AnimatedMesh
 from adaptiveface.export.arkit_csv import read_arkit_csv, write_arkit_csv
-from adaptiveface.export.gltf import read_glb_animation, write_glb
-from adaptiveface.export.obj_sequence import read_obj_sequence, write_obj_sequence
-from adaptiveface.export.usd import read_usd, write_usd
+from adaptiveface.export.gltf import write_glb
+from adaptiveface.export.obj_sequence import write_obj_sequence
+from adaptiveface.export.usd import write_usd
 from adaptiveface.geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import embedded_face_model, load_face_model, save_face_model

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from blender_runs import evaluate, needs_blender
 from export_scene import tracked_result
+from written import read_glb_animation
 
 from adaptiveface.export.animation import actor_animation, character_animation, in_slider_range
-from adaptiveface.export.gltf import read_glb_animation, write_glb
+from adaptiveface.export.gltf import write_glb
 from adaptiveface.retargeting.character import load_character
 from adaptiveface.retargeting.retarget import retarget
 

@@ -12,13 +12,14 @@ import trimesh
 from export_scene import tracked_result
 from PIL import Image
 from scipy import ndimage
+from written import read_glb_animation, write_obj_shapes
 
 from adaptiveface import cli
 from adaptiveface.errors import FileFormatError, ParameterError
 from adaptiveface.export.animation import character_animation
 from adaptiveface.export.arkit_csv import read_arkit_csv
-from adaptiveface.export.gltf import read_glb_animation, write_glb
-from adaptiveface.export.obj_sequence import write_obj, write_obj_shapes
+from adaptiveface.export.gltf import write_glb
+from adaptiveface.export.obj_sequence import write_obj
 from adaptiveface.geometry.mesh import boundary_edges, surface_points
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.retargeting import BUILT_IN

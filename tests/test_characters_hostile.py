@@ -10,10 +10,11 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from written import read_glb_animation
 
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
 from adaptiveface.export.animation import AnimatedMesh
-from adaptiveface.export.gltf import read_glb_animation, write_glb
+from adaptiveface.export.gltf import write_glb
 from adaptiveface.retargeting.character import Character, load_character
 
 MUTATIONS, LONGEST_S = 600, 5.0  # of processor time

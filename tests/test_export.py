@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 from export_scene import FRAMES, received, tracked_result
 from scipy.spatial.transform import Rotation
+from written import read_glb_animation, read_obj_sequence
 
 from adaptiveface import cli
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError, ParameterError
 from adaptiveface.export.animation import actor_animation, character_animation
 from adaptiveface.export.arkit_csv import HEADER, read_arkit_csv, timecode, write_arkit_csv
-from adaptiveface.export.gltf import read_glb_animation, write_glb
-from adaptiveface.export.obj_sequence import read_obj_sequence, write_obj_sequence
+from adaptiveface.export.gltf import write_glb
+from adaptiveface.export.obj_sequence import write_obj_sequence
 from adaptiveface.export.stream import LOOPBACK, Address, Streamer
 from adaptiveface.export.video import PANEL, character_panel, side_by_side, tracked_panel, write_video
 from adaptiveface.retargeting import BUILT_IN
@@ -163,8 +164,9 @@ def test_obj_sequence_round_trip(files, tmp_path):
 def test_usd_round_trip(files, tmp_path, suffix):
     pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
     from pxr import Usd, UsdSkel
+    from written import read_usd
 
-    from adaptiveface.export.usd import read_usd, write_usd
+    from adaptiveface.export.usd import write_usd
 
     mesh = files[1]["ogre"]
     path = tmp_path / f"ogre{suffix}"

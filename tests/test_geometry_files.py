@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from blender_runs import evaluate, needs_blender
 from export_scene import animated_meshes, tracked_result
+from written import read_obj_sequence, read_point_cache
 
 from adaptiveface import cli
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
-from adaptiveface.export.obj_sequence import (
-    obj_text,
-    read_obj_sequence,
-    sequence_bytes,
-    write_obj_sequence,
-)
-from adaptiveface.export.point_cache import cache_bytes, read_point_cache, write_point_cache
+from adaptiveface.export.obj_sequence import obj_text, sequence_bytes, write_obj_sequence
+from adaptiveface.export.point_cache import cache_bytes, write_point_cache
 from adaptiveface.retargeting import UNITS
 
 FRAMES = (0, 7, 15, 23)

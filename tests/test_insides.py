@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from export_scene import tracked_result
 from inside_check import outside, parts_of
+from written import read_glb_animation, read_obj_sequence, read_point_cache
 
 from adaptiveface.export.animation import actor_animation
-from adaptiveface.export.gltf import read_glb_animation, write_glb
+from adaptiveface.export.gltf import write_glb
 from adaptiveface.export.inside_parts import TOLERANCE, actor_insides, with_insides
-from adaptiveface.export.obj_sequence import read_obj_sequence, write_obj_sequence
-from adaptiveface.export.point_cache import read_point_cache, write_point_cache
+from adaptiveface.export.obj_sequence import write_obj_sequence
+from adaptiveface.export.point_cache import write_point_cache
 from adaptiveface.export.video import PANEL, tracked_panel
 from adaptiveface.geometry.frame import FEATURE_IDS
 from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points
@@ -196,8 +197,9 @@ def test_glb_carries_the_parts_and_is_read_as_before(scene, tmp_path, compact):
 def test_usd_carries_the_parts_and_is_read_as_before(scene, tmp_path):
     usd = pytest.importorskip("pxr.Usd", exc_type=ImportError)
     from pxr import UsdGeom, UsdSkel
+    from written import read_usd
 
-    from adaptiveface.export.usd import read_usd, write_usd
+    from adaptiveface.export.usd import write_usd
 
     _, _, plain, whole = scene
     write_usd(tmp_path / "whole.usdc", whole)

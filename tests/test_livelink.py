@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from written import read_glb_animation
 
 from adaptiveface import cli
 from adaptiveface.errors import FileFormatError
 from adaptiveface.export.arkit_csv import head_angles, read_arkit_csv, write_arkit_csv
-from adaptiveface.export.gltf import read_glb_animation
 from adaptiveface.geometry.mesh import rotation_vector_matrix
 from adaptiveface.livelink import ARKIT_NAMES, LiveLinkTake, read_take, write_take
 from adaptiveface.livelink.convention import angles, eye_angles, rotations

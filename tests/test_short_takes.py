@@ -8,15 +8,12 @@ import pytest
 from export_scene import tracked_result
 from PIL import Image
 from recordings import talking_head
+from written import read_glb_animation, read_obj_sequence, read_point_cache, read_usd
 
 from adaptiveface.cli import main
 from adaptiveface.export.animation import actor_animation
 from adaptiveface.export.arguments import FORMATS
 from adaptiveface.export.arkit_csv import read_arkit_csv
-from adaptiveface.export.gltf import read_glb_animation
-from adaptiveface.export.obj_sequence import read_obj_sequence
-from adaptiveface.export.point_cache import read_point_cache
-from adaptiveface.export.usd import read_usd
 from adaptiveface.result import Result
 
 

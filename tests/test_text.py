@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from export_scene import tracked_result
 from recordings import talking_head
+from written import write_obj_shapes
 
 from adaptiveface.cli import main
-from adaptiveface.export.obj_sequence import write_obj_shapes
 from adaptiveface.files import decoded, read_text
 from adaptiveface.importers.assemble import read_feature_vertices
 from adaptiveface.importers.obj import obj_vertices, read_lines

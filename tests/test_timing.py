@@ -191,8 +191,9 @@ def result():
 def test_usd_counts_in_the_standard_rate(result, tmp_path):
     pytest.importorskip("pxr")
     from pxr import Usd
+    from written import read_usd
 
-    from adaptiveface.export.usd import read_usd, write_usd
+    from adaptiveface.export.usd import write_usd
 
     take = dataclasses.replace(result, timestamps=np.arange(len(result)) * 0.033367)  # 29.96973 a second, as printed
     write_usd(tmp_path / "a.usda", actor_animation(take))

@@ -12,8 +12,10 @@ from export_scene import animated_meshes, tracked_result
 
 pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
 
+from written import read_usd
+
 from adaptiveface import cli
-from adaptiveface.export.usd import prim_names, read_usd, write_usd
+from adaptiveface.export.usd import prim_names, write_usd
 
 FRAMES = (0, 7, 15, 23)
 NEAR = 0.05  # mm

@@ -12,8 +12,7 @@ from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
 
 TASK = (
-    "bounded_least_squares(h, g, lower, upper): h (A, A) symmetric positive definite, g, lower, upper (A,) "
-    "-> x (A,) that "
+    "bounded_least_squares(h, g, lower, upper): h (A, A) symmetric positive definite, g, lower, upper (A,) -> x (A,) that "
     "minimises x^T h x / 2 - g^T x with lower <= x <= upper."
 )
 
@@ -68,8 +67,7 @@ def describe(answer, expected, case: Case) -> str:
     k = int(gain.argmax())
     where = "lies between its bounds" if down[k] and up[k] else "sits on a bound that it should leave"
     return (
-        f"not the minimum: x[{k}] = {answer[k]:.4g} {where}, yet the energy's slope there is {slope[k]:.3g} "
-        f"instead of 0 (the "
+        f"not the minimum: x[{k}] = {answer[k]:.4g} {where}, yet the energy's slope there is {slope[k]:.3g} instead of 0 (the "
         f"minimum has {expected[k]:.4g}); not converged, or a bound that was set is never released"
     )
 
@@ -124,9 +122,8 @@ def _zero_to_one(h, g, lower, upper):
 
 MISTAKES = (
     Mistake(
-        "the unbounded solution was clipped instead of bounded: once a coefficient stops at its bound, the "
-        "others must make "
-        "up for it",
+        "the unbounded solution was clipped instead of bounded: once a coefficient stops at its bound, the others must make up "
+        "for it",
         _clipped,
     ),
     Mistake("the sign of g is wrong: the energy is x^T h x / 2 - g^T x, its slope h x - g", _wrong_sign),

@@ -12,9 +12,8 @@ from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn, scale_hint
 
 TASK = (
-    "em_step(correctives, samples): M (d, k) and S (d, s) -> (Y, M): the E-step's coefficients Y (k, s) of the samples "
-    "for the M that came in, and the M-step's new M (d, k), its columns made orthonormal. M need not be orthonormal "
-    "when it comes in."
+    "em_step(correctives, samples): M (d, k) and S (d, s) -> (Y, M): the E-step's coefficients Y (k, s) of the samples for the "
+    "M that came in, and the M-step's new M (d, k), its columns made orthonormal. M need not be orthonormal when it comes in."
 )
 
 
@@ -47,9 +46,8 @@ def faults(answer, case: Case) -> list[str]:
     gram = answer[1].T @ answer[1]
     if np.abs(np.diag(gram) - 1).max() > 1e-6:
         return [
-            f"M is not orthonormal: its columns have lengths up to {np.sqrt(np.diag(gram).max()):.3g} instead "
-            f"of 1; end with "
-            "a QR factorisation"
+            f"M is not orthonormal: its columns have lengths up to {np.sqrt(np.diag(gram).max()):.3g} instead of 1; end with a "
+            "QR factorisation"
         ]
     if np.abs(gram - np.eye(len(gram))).max() > 1e-6:
         return ["M is not orthonormal: its columns have length 1 but are not at right angles; end with a QR factorisation"]
@@ -126,9 +124,8 @@ def _centred(s):
 
 
 _INVERSE = (
-    "Y = M^T S holds only while M is orthonormal; in general Y = (M^T M)^-1 M^T S. (M^T M)^-1 is the "
-    "missing weight here. "
-    "M's span does not notice: with the QR at the end, EM is orthogonal iteration"
+    "Y = M^T S holds only while M is orthonormal; in general Y = (M^T M)^-1 M^T S. (M^T M)^-1 is the missing weight here. M's "
+    "span does not notice: with the QR at the end, EM is orthogonal iteration"
 )
 MISTAKES = (
     Mistake(_INVERSE, _with(e_step=_plain)),

@@ -8,10 +8,9 @@ from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
 TASK = (
-    "identity_step(jacobian, distances, sigma, identity): jacobian (m, k) of m point-to-plane distances (m,) mm by k "
-    "identity coefficients, sigma the standard deviation of a distance in mm, identity (k,) the present coefficients in "
-    "standard deviations -> the change (k,) that minimises |distances + jacobian change|^2 / sigma^2 + |identity + "
-    "change|^2."
+    "identity_step(jacobian, distances, sigma, identity): jacobian (m, k) of m point-to-plane distances (m,) mm by k identity "
+    "coefficients, sigma the standard deviation of a distance in mm, identity (k,) the present coefficients in standard "
+    "deviations -> the change (k,) that minimises |distances + jacobian change|^2 / sigma^2 + |identity + change|^2."
 )
 
 

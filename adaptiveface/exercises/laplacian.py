@@ -12,12 +12,9 @@ from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, as_array, drawn, scale_hint
 
 TASK = (
-    "right_hand_side(distances, normals, weights, w1, features): b (n, 3) of A d = b, the minimum of w1 sum_i "
-    "weights_i "
-    "(normals_i . d_i + distances_i)^2 + w2 |L d|^2 + sum_f,r features.weights_fr (rows_fr . e_f - "
-    "targets_fr)^2, where e_f = "
-    "sum_k shares_fk d[corners_fk] is how far the feature's point moves. A holds everything that multiplies d; "
-    "b the rest."
+    "right_hand_side(distances, normals, weights, w1, features): b (n, 3) of A d = b, the minimum of w1 sum_i weights_i "
+    "(normals_i . d_i + distances_i)^2 + w2 |L d|^2 + sum_f,r features.weights_fr (rows_fr . e_f - targets_fr)^2, where e_f = "
+    "sum_k shares_fk d[corners_fk] is how far the feature's point moves. A holds everything that multiplies d; b the rest."
 )
 
 

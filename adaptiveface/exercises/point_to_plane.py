@@ -13,11 +13,9 @@ from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
 
 TASK = (
-    "point_to_plane_step(points, targets, normals, weights): points v_i (n, 3), the depth points p_i (n, 3) "
-    "with unit normals "
-    "n_i (n, 3), weights w_i (n,) -> (rotation (3, 3), translation (3,)) such that points @ rotation.T + "
-    "translation "
-    "minimises sum w_i (n_i . (v_i - p_i))^2, linearised in the rotation."
+    "point_to_plane_step(points, targets, normals, weights): points v_i (n, 3), the depth points p_i (n, 3) with unit normals "
+    "n_i (n, 3), weights w_i (n,) -> (rotation (3, 3), translation (3,)) such that points @ rotation.T + translation minimises "
+    "sum w_i (n_i . (v_i - p_i))^2, linearised in the rotation."
 )
 
 _TURNED_BACK = "the rotation turns the wrong way: it is the transpose, or the cross product is n x v instead of v x n"
@@ -69,9 +67,8 @@ def parse(answer, case: Case) -> tuple[np.ndarray, np.ndarray]:
         answer = answer[:3, :3], answer[:3, 3]
     if isinstance(answer, np.ndarray) and answer.shape == (6,):
         raise Wrong(
-            "six numbers came back: turn the rotation vector into a matrix "
-            "(adaptiveface.geometry.mesh.rotation_vector_matrix) and "
-            "return (rotation, translation)"
+            "six numbers came back: turn the rotation vector into a matrix (adaptiveface.geometry.mesh.rotation_vector_matrix) "
+            "and return (rotation, translation)"
         )
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         raise Wrong("a pair (rotation, translation) is expected")
@@ -90,8 +87,7 @@ def faults(answer, case: Case) -> list[str]:
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if error > 1e-7:
         return [
-            f"the rotation is not orthonormal (R^T R differs from the identity by {error:.2g}): I + [r]x is "
-            f"only its first "
+            f"the rotation is not orthonormal (R^T R differs from the identity by {error:.2g}): I + [r]x is only its first "
             "order; use the exact matrix of the rotation vector, or the face shears a little in every step"
         ]
     if np.linalg.det(rotation) < 0:

@@ -34,36 +34,10 @@ def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tu
     Raises :class:`AdaptiveFaceError` with ffmpeg's own reason, OSError where the disk is full. On Ctrl-C and any other
     failure, ffmpeg is ended before it finishes the film.
     """
-    command = [
-        program,
-        "-y",
-        "-hide_banner",
-        "-nostats",
-        "-loglevel",
-        "error",
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-s",
-        f"{size[0]}x{size[1]}",
-        "-r",
-        f"{fps:.9g}",
-        "-i",
-        "-",
-        "-an",
-        "-c:v",
-        "libx264",
-        "-pix_fmt",
-        "yuv420p",
-        "-preset",
-        "veryfast",
-        "-crf",
-        "20",
-        "-movflags",
-        "+faststart",
-        os.fspath(path.absolute()),
-    ]
+    read = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {fps:.9g} -i -"
+    write = "-an -c:v libx264 -pix_fmt yuv420p -preset veryfast -crf 20 -movflags +faststart"
+    options = f"-y -hide_banner -nostats -loglevel error {read} {write}".split()
+    command = [program, *options, os.fspath(path.absolute())]
     apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
     with tempfile.TemporaryFile() as said:
         with CtrlC() as ctrl_c:  # between its start and its name here nobody could end it

@@ -10,14 +10,12 @@ from __future__ import annotations
 import json
 import os
 import struct
-from pathlib import Path
 
 import numpy as np
 
 from .. import __version__
 from ..errors import FileFormatError
 from ..files import replacing
-from ..retargeting.gltf_file import GltfFile
 from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
 
 _ARRAY, _ELEMENTS = 34962, 34963
@@ -252,41 +250,3 @@ def _write(path: str | os.PathLike, document: dict, binary: bytearray) -> None:
         stream.write(struct.pack("<4sII", b"glTF", 2, total))
         stream.write(struct.pack("<I4s", len(text), b"JSON") + text)
         stream.write(struct.pack("<I4s", len(binary), b"BIN\0") + binary)
-
-
-def read_glb_animation(path: str | os.PathLike) -> AnimatedMesh:
-    """Read back a file of :func:`write_glb`; raises :class:`FileFormatError`."""
-    from scipy.spatial.transform import Rotation
-
-    file = GltfFile(Path(path))
-    with file.errors():
-        node = next(n for n, entry in enumerate(file.items("nodes")) if entry.get("name") == "head")
-        mesh = file.items("meshes")[file.items("nodes")[node]["mesh"]]
-        primitive = mesh["primitives"][0]
-        curves = {}
-        for channel in file.items("animations")[0]["channels"]:
-            if channel["target"].get("node") != node:
-                continue
-            sampler = file.items("animations")[0]["samplers"][channel["sampler"]]
-            times = file.accessor(sampler["input"]).astype(float)[:, 0]
-            curves[channel["target"]["path"]] = file.accessor(sampler["output"]).astype(float)
-        if not {"rotation", "translation"} <= curves.keys():
-            raise file.error("its animation does not move the head")
-        scale = float((file.items("nodes")[node].get("scale") or [1.0])[0])
-        neutral = scale * file.accessor(primitive["attributes"]["POSITION"]).astype(float)
-        targets = [scale * file.accessor(t["POSITION"], len(neutral)).astype(float) for t in primitive.get("targets", ())]
-        rigid = np.tile(np.eye(4), (len(times), 1, 1))
-        rigid[:, :3, :3] = Rotation.from_quat(curves["rotation"]).as_matrix()
-        rigid[:, :3, 3] = curves["translation"] / METRES
-        weights = curves.get("weights", np.zeros((0, 1))).reshape(len(times), len(targets))
-        names = tuple(mesh.get("extras", {}).get("targetNames", ()))
-        return AnimatedMesh(
-            mesh["name"],
-            neutral / METRES,
-            file.triangles(primitive, len(neutral)),
-            names,
-            np.array(targets).reshape(len(targets), len(neutral), 3) / METRES,
-            weights,
-            times,
-            rigid,
-        )

@@ -25,59 +25,16 @@ OFFSETS = {
     "RightEye": (-0.016, 0.075, 0.026),
 }
 #: Face Cap's numbers of ARKit's shapes (its page on live mode).
-FACE_CAP = (
-    "browInnerUp",
-    "browDownLeft",
-    "browDownRight",
-    "browOuterUpLeft",
-    "browOuterUpRight",
-    "eyeLookUpLeft",
-    "eyeLookUpRight",
-    "eyeLookDownLeft",
-    "eyeLookDownRight",
-    "eyeLookInLeft",
-    "eyeLookInRight",
-    "eyeLookOutLeft",
-    "eyeLookOutRight",
-    "eyeBlinkLeft",
-    "eyeBlinkRight",
-    "eyeSquintLeft",
-    "eyeSquintRight",
-    "eyeWideLeft",
-    "eyeWideRight",
-    "cheekPuff",
-    "cheekSquintLeft",
-    "cheekSquintRight",
-    "noseSneerLeft",
-    "noseSneerRight",
-    "jawOpen",
-    "jawForward",
-    "jawLeft",
-    "jawRight",
-    "mouthFunnel",
-    "mouthPucker",
-    "mouthLeft",
-    "mouthRight",
-    "mouthRollUpper",
-    "mouthRollLower",
-    "mouthShrugUpper",
-    "mouthShrugLower",
-    "mouthClose",
-    "mouthSmileLeft",
-    "mouthSmileRight",
-    "mouthFrownLeft",
-    "mouthFrownRight",
-    "mouthDimpleLeft",
-    "mouthDimpleRight",
-    "mouthUpperUpLeft",
-    "mouthUpperUpRight",
-    "mouthLowerDownLeft",
-    "mouthLowerDownRight",
-    "mouthPressLeft",
-    "mouthPressRight",
-    "mouthStretchLeft",
-    "mouthStretchRight",
-    "tongueOut",
+FACE_CAP = tuple(
+    """
+    browInnerUp browDownLeft browDownRight browOuterUpLeft browOuterUpRight eyeLookUpLeft eyeLookUpRight eyeLookDownLeft
+    eyeLookDownRight eyeLookInLeft eyeLookInRight eyeLookOutLeft eyeLookOutRight eyeBlinkLeft eyeBlinkRight eyeSquintLeft
+    eyeSquintRight eyeWideLeft eyeWideRight cheekPuff cheekSquintLeft cheekSquintRight noseSneerLeft noseSneerRight jawOpen
+    jawForward jawLeft jawRight mouthFunnel mouthPucker mouthLeft mouthRight mouthRollUpper mouthRollLower mouthShrugUpper
+    mouthShrugLower mouthClose mouthSmileLeft mouthSmileRight mouthFrownLeft mouthFrownRight mouthDimpleLeft
+    mouthDimpleRight mouthUpperUpLeft mouthUpperUpRight mouthLowerDownLeft mouthLowerDownRight mouthPressLeft
+    mouthPressRight mouthStretchLeft mouthStretchRight tongueOut
+    """.split()
 )
 
 

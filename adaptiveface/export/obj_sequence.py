@@ -8,15 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError
 from ..files import replacing, replacing_folder
 from ..retargeting import UNITS
-from ..retargeting.obj_folder import read_obj
 from .animation import AnimatedMesh, unit_normals
 
 #: All files have one prefix, because importers of sequences need it. Earlier versions wrote none.
 _FRAME = re.compile(r"(?:face_)?\d{5,}\.obj")
-_UNIT = re.compile(r"# adaptiveface: lengths in (\w+)")
 
 
 def obj_text(vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm") -> str:
@@ -70,39 +67,3 @@ def write_obj_sequence(
             write_obj(new / f"face_{frame:05d}.obj", vertices, mesh.whole_triangles, mesh.whole_colours, unit)
         rows = [f"{frame},{time:.6f}" for frame, time in enumerate(mesh.timestamps)]
         (new / "timestamps.csv").write_text("\n".join(["frame,timestamp", *rows]) + "\n", encoding="ascii")
-
-
-def read_obj_sequence(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (F, V, 3) mm and triangles (T, 3) of a folder of :func:`write_obj_sequence`, in any unit.
-
-    Raises :class:`FileFormatError` for a folder without frames or frames of different meshes.
-    """
-    paths = sorted(p for p in Path(folder).iterdir() if _FRAME.fullmatch(p.name))
-    if not paths:
-        raise FileFormatError(f"{folder}: no frames such as face_00000.obj")
-    frames, triangles = [], None
-    for path in paths:
-        vertices, corners = read_obj(path)
-        if triangles is not None and (len(vertices) != len(frames[0]) or not np.array_equal(corners, triangles)):
-            raise FileFormatError(f"{path}: another mesh than {paths[0].name}")
-        frames.append(_millimetres(path) * vertices)
-        triangles = corners
-    return np.stack(frames), triangles
-
-
-def _millimetres(path: Path) -> float:
-    """Millimetres per unit of a file that :func:`obj_text` made. Earlier versions wrote millimetres, unsaid."""
-    with open(path, encoding="utf-8", errors="replace") as stream:
-        found = _UNIT.match(stream.readline(100))
-    return UNITS.get(found[1], 1.0) if found else 1.0
-
-
-def write_obj_shapes(folder: str | Path, mesh: AnimatedMesh) -> None:
-    """``neutral.obj`` and one ``NAME.obj`` per morph target at weight 1, in mm: a folder that loads as a character.
-
-    Raises :class:`AdaptiveFaceError` as :func:`write_obj_sequence` does.
-    """
-    with replacing_folder(folder, lambda name: name.endswith(".obj")) as new:
-        write_obj(new / "neutral.obj", mesh.neutral, mesh.triangles, mesh.colours)
-        for name, target in zip(mesh.target_names, mesh.targets, strict=True):
-            write_obj(new / f"{name}.obj", mesh.neutral + target, mesh.triangles, mesh.colours)

@@ -14,15 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError
-from ..files import read_bytes, replacing
+from ..files import replacing
 from ..retargeting import UNITS
 from .animation import AnimatedMesh
 from .obj_sequence import write_obj
 
 _PC2 = struct.Struct("<12siiffi")
 _MAGIC = b"POINTCACHE2\0"
-MAX_BYTES = 4 << 30
 
 
 def samples(mesh: AnimatedMesh) -> Iterator[np.ndarray]:
@@ -76,24 +74,3 @@ def write_point_cache(
             if number == 0:
                 write_obj(rest_mesh(path), vertices, mesh.whole_triangles, mesh.whole_colours, unit)
             stream.write((vertices / UNITS[unit]).astype(">f4" if big else "<f4").tobytes())
-
-
-def read_point_cache(path: str | os.PathLike) -> np.ndarray:
-    """(F, V, 3) float32 of an ``.mdd`` or ``.pc2`` file, in its own unit; raises :class:`FileFormatError`."""
-    path = Path(path)
-    content = read_bytes(path, MAX_BYTES)
-    try:
-        if path.suffix.lower() == ".mdd":
-            count, points = struct.unpack_from(">ii", content)
-            kind, offset = ">f4", 8 + 4 * count
-        else:
-            magic, version, points, _, _, count = _PC2.unpack_from(content)
-            kind, offset = "<f4", _PC2.size
-            if magic != _MAGIC or version != 1:
-                raise FileFormatError(f"{path}: not a point cache of version 1")
-    except struct.error:
-        raise FileFormatError(f"{path}: shorter than its header") from None
-    size = 12 * count * points
-    if count < 0 or points < 0 or len(content) != offset + size:
-        raise FileFormatError(f"{path}: {count} frames of {points} points take {offset + size} bytes, not {len(content)}")
-    return np.frombuffer(content, kind, offset=offset).astype(np.float32).reshape(count, points, 3)

@@ -13,15 +13,11 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ..errors import FileFormatError, MissingExtraError
-from ..files import open_regular, replacing
+from ..errors import MissingExtraError
+from ..files import replacing
 from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
 from .gltf import quaternions
-
-#: Largest file that is read back.
-MAX_BYTES = 1 << 30
 
 
 def _pxr():
@@ -214,51 +210,3 @@ def _write_animation(pxr, stage, mesh: AnimatedMesh, names: list[str], amounts: 
         translations.Set(Vt.Vec3fArray([Gf.Vec3f(*map(float, place))]), code)
         x, y, z, w = map(float, turn)
         rotations.Set(Vt.QuatfArray([Gf.Quatf(w, x, y, z)]), code)
-
-
-def read_usd(path: str | os.PathLike) -> AnimatedMesh:
-    """Read back a file of :func:`write_usd`; raises :class:`FileFormatError`."""
-    pxr = _pxr()
-    Usd, UsdGeom, UsdSkel = pxr.Usd, pxr.UsdGeom, pxr.UsdSkel
-    open_regular(path, MAX_BYTES).close()
-    try:
-        stage = Usd.Stage.Open(os.fspath(path))
-    except Exception as error:  # pxr.Tf.ErrorException, which only exists once pxr is imported
-        raise FileFormatError(f"{path}: not a USD file ({str(error).splitlines()[-1][:120]})") from None
-    meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
-    animations = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Animation)]
-    if not meshes or not animations:
-        raise FileFormatError(f"{path}: no mesh with a UsdSkel animation")
-    body, animation = UsdGeom.Mesh(meshes[0]), UsdSkel.Animation(animations[0])
-    scale = UsdGeom.GetStageMetersPerUnit(stage) / METRES
-    neutral = scale * np.array(body.GetPointsAttr().Get(), float)
-    animated = [str(name) for name in animation.GetBlendShapesAttr().Get() or ()]
-    names = [str(name) for name in UsdSkel.BindingAPI(meshes[0]).GetBlendShapesAttr().Get() or ()]
-    columns = [animated.index(name) for name in names]
-    targets = np.zeros((len(names), len(neutral), 3))
-    prim_paths = UsdSkel.BindingAPI(meshes[0]).GetBlendShapeTargetsRel().GetTargets()
-    for k, (row, prim_path) in enumerate(zip(targets, prim_paths, strict=True)):
-        shape = UsdSkel.BlendShape(stage.GetPrimAtPath(prim_path))
-        names[k] = shape.GetPrim().GetDisplayName() or names[k]
-        indices = np.array(shape.GetPointIndicesAttr().Get(), int)
-        if len(indices):
-            row[indices] = scale * np.array(shape.GetOffsetsAttr().Get(), float)
-    codes = animation.GetTranslationsAttr().GetTimeSamples()
-    weights = np.array([animation.GetBlendShapeWeightsAttr().Get(code) for code in codes], float)
-    rigid = np.tile(np.eye(4), (len(codes), 1, 1))
-    for pose, code in zip(rigid, codes, strict=True):
-        turn = animation.GetRotationsAttr().Get(code)[0]
-        pose[:3, :3] = Rotation.from_quat([*turn.GetImaginary(), turn.GetReal()]).as_matrix()
-        pose[:3, 3] = scale * np.array(animation.GetTranslationsAttr().Get(code)[0], float)
-    triangles = np.array(body.GetFaceVertexIndicesAttr().Get(), np.int32).reshape(-1, 3)
-    times = np.array(codes) / stage.GetTimeCodesPerSecond()
-    return AnimatedMesh(
-        body.GetPrim().GetName(),
-        neutral,
-        triangles,
-        tuple(names),
-        targets,
-        weights.reshape(len(codes), len(animated))[:, columns],
-        times,
-        rigid,
-    )

@@ -8,37 +8,12 @@ from .gltf_container import GltfContainer, extensions
 from .gltf_nodes import Nodes
 
 #: Words in bone names that say which rig they come from, not which bone they are.
-_RIG = {
-    "mixamorig",
-    "j",
-    "bip",
-    "adj",
-    "c",
-    "cc",
-    "base",
-    "def",
-    "org",
-    "valve",
-    "biped",
-    "armature",
-    "bone",
-    "jnt",
-    "joint",
-    "jt",
-    "b",
-    "m",
-    "mid",
-    "center",
-    "x",
-    "bind",
-    "skin",
-    "rig",
-    "character",
-    "avatar",
-    "sk",
-    "bn",
-    "facial",
-}
+_RIG = set(
+    """
+    mixamorig j bip adj c cc base def org valve biped armature bone jnt joint jt b m mid center
+    x bind skin rig character avatar sk bn facial
+    """.split()
+)
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _JOINED = {
     "lefteye": "left eye",

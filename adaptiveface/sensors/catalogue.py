@@ -31,10 +31,9 @@ class SensorInfo:
 
 def _possible(kinds: Mapping[str, SensorKind]) -> str:
     return (
-        f"possible sensors: {', '.join(kind.usage for kind in kinds.values())}, "
-        "or the path of a recording (folder, .r3d, .db3, .bag, .oni, Azure's .mkv; "
-        "colour only: .mp4, .mov, .avi, .webm, .mkv); "
-        "with ',mirrored' at the end pictures are flipped"
+        f"possible sensors: {', '.join(kind.usage for kind in kinds.values())}, or the path of a recording (folder, .r3d, "
+        ".db3, .bag, .oni, Azure's .mkv; colour only: .mp4, .mov, .avi, .webm, .mkv); with ',mirrored' at the end pictures are "
+        "flipped"
     )
 
 
