@@ -207,7 +207,7 @@ def test_a_face_too_small_for_the_detector_is_found_in_the_foreground(detector, 
     inside = detector.detect(frame).pixels
     margin = ((480, 480), (480, 480))
     wide = dataclasses.replace(frame, depth=np.pad(frame.depth, margin), colour=np.pad(frame.colour, (*margin, (0, 0))))
-    assert detector.detect_meshes(wide.colour) == []
+    assert detector.detect_faces(wide.colour) == []
     features = detector.detect(wide)
     assert np.median(np.linalg.norm(features.pixels - 480 - inside, axis=1)) < 1.0
     assert len(features.pixels) == len(FEATURE_IDS)
@@ -283,7 +283,7 @@ def test_the_placed_features_lie_nearer_to_the_models_than_the_landmarks(seed):
     placed, plain = [], []
     for index in (0, 3, 6):  # turned left and right, up and down
         frame = sensor.read(index)
-        mesh = detector.detect_meshes(frame.colour)[0]
+        mesh = detector.detect_faces(frame.colour)[0].mesh
         placed.append(feature_pixels(mesh) - frame.features.pixels)
         plain.append(mesh[MEDIAPIPE_INDICES, :2] - frame.features.pixels)
     detector.close()

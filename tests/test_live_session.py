@@ -142,19 +142,6 @@ def test_frozen_nothing_is_learned_and_reset_forgets_the_correctives():
     assert results[9] > 0 and results[10:15] == results[9:10] * 5 and results[15:] == [0] * 5
 
 
-def test_another_actor_starts_over():
-    permits, parameters = threading.Semaphore(1), Parameters().set(adaptive_pca__valid_min=0.0)
-    with LiveSensor(lambda: Endless(frames(), permits), max_age=60) as sensor, FeatureFeed(sensor) as feed:
-        with LiveSession(feed, exact_actor(3), parameters) as session:
-            first = session.latest(timeout=60)
-            other, before = exact_actor(), session.model
-            session.set_actor(other)
-            permits.release()
-            assert session.latest(first.index, timeout=60).tracked.tracked
-            assert session.actor is session._tracker.actor is other
-            assert session.model is not before and session.model.count <= 1
-
-
 def test_a_callback_that_fails_is_said_once_and_tracking_goes_on():
     def full_disk(result):
         raise RecordingError("out: no space left on device")

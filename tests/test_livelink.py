@@ -120,12 +120,12 @@ def test_eyes_look_where_the_curves_say():
     for name in ("eyeLookOutLeft", "eyeLookInRight"):  # both to the subject's left, which is +x
         curves[0, ARKIT_NAMES.index(name)] = 1.0
     t = LiveLinkTake(np.zeros(1), curves, np.zeros((1, 3)), eye_angles(curves), np.ones(1, bool))
-    gaze = t.eye_rotations()[0, :, :, 2]
+    gaze = rotations(t.eyes.reshape(-1, 2, 3))[0, :, :, 2]
     np.testing.assert_allclose(gaze[:, 0], np.sin(0.605), atol=1e-9)
     curves = np.zeros((1, 52))
     curves[0, [ARKIT_NAMES.index(f"eyeLookDown{side}") for side in ("Left", "Right")]] = 1.0
     t = LiveLinkTake(np.zeros(1), curves, np.zeros((1, 3)), eye_angles(curves), np.ones(1, bool))
-    np.testing.assert_allclose(t.eye_rotations()[0, :, 1, 2], -np.sin(0.556), atol=1e-9)
+    np.testing.assert_allclose(rotations(t.eyes.reshape(-1, 2, 3))[0, :, 1, 2], -np.sin(0.556), atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["one-euro", "kalman"])

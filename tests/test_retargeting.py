@@ -20,7 +20,7 @@ from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.parameters import BlendshapeParameters, Parameters
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
 from adaptiveface.retargeting.character import Character, load_character
-from adaptiveface.retargeting.correctives import character_correctives, transferred_correctives
+from adaptiveface.retargeting.correctives import carried_correctives, transferred_correctives
 from adaptiveface.retargeting.resolve import blendshape_parameters
 from adaptiveface.retargeting.retarget import driving_coefficients, increasing, retarget
 from adaptiveface.retargeting.smoothing import (
@@ -205,14 +205,14 @@ def test_correctives_reach_the_characters_skin_only(scene):
         **{name: getattr(result, name)[:3] for name in ("vertices", "head_pose", "coefficients", "coefficients_initial")},
     )
     hag = load_character("hag")
-    added = character_correctives(short, actor, hag)
+    added = carried_correctives(short, actor, hag)(np.arange(3))
     assert added.shape == (3, len(hag.neutral), 3)
     assert np.linalg.norm(added[:, : hag.skin], axis=2).max() > 0.5
     assert not added[:, hag.skin :].any()
     assert np.linalg.norm(added[:, : hag.skin][:, ~actor.frontal], axis=2).max() < 0.5  # fades out beyond the face
     ball = Character("ball", hag.neutral[:9], hag.triangles[:0], ("jawOpen",), np.zeros((1, 9, 3)))
     with pytest.raises(ParameterError, match="ball"):
-        character_correctives(short, actor, ball)
+        carried_correctives(short, actor, ball)
 
 
 def test_driving_coefficients_need_a_matching_actor(scene):

@@ -56,7 +56,7 @@ def test_a_small_face_is_found_wherever_it_is(fresh, head, size, share, place):
     small = shrunk(head, share * max(size))
     corner = [round(p * (s - n)) for p, s, n in zip(place, size, small.shape[1::-1], strict=True)]
     frame = scene([(small, corner)], size)
-    assert not fresh.detect_meshes(frame.colour)  # as a whole it shows none
+    assert not fresh.detect_faces(frame.colour)  # as a whole it shows none
     features = fresh.detect(frame)
     assert features is not None and features.valid.sum() == 40
     inside = features.pixels - corner

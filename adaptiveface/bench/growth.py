@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import gc
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
@@ -20,7 +18,7 @@ from ..tracking.tracker import FaceTracker
 from ..tracking.types import STAGE_NAMES, SampleState
 from . import peers
 from .run import machine_load
-from .scene import SEED, bench_scene
+from .scene import SEED, bench_scene, rendering_bar
 from .sizes import actor_of_size
 
 #: Frames of the performance; the trackers take turns of so many, so that what else the machine does meets all alike, and
@@ -146,14 +144,11 @@ def _recorded(actor: Actor, scene: list[RgbdFrame], parameters: Parameters | Non
 def run_growth(vertices: Sequence[int], frames: int | None = None) -> int:
     """``adaptiveface bench --vertices``: print the tables; 0."""
 
-    def bar(numbers):
-        return tqdm(numbers, desc="rendering", unit="frame", leave=False, disable=None, file=sys.stderr)
-
     count = frames or FRAMES
     peers.load_peers()
     with threadpool_limits(limits=1):
         print(f"{count} frames, learning on, full sample buffers; one BLAS thread{machine_load()}\n")
-        print(vertex_growth(vertices, count, bar), flush=True)
+        print(vertex_growth(vertices, count, rendering_bar), flush=True)
         for name in OTHERS:
-            print(f"\n{parameter_growth(name, count, bar)}", flush=True)
+            print(f"\n{parameter_growth(name, count, rendering_bar)}", flush=True)
     return 0

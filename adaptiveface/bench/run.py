@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import gc
 import os
-import sys
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
@@ -20,7 +18,7 @@ from ..tracking.types import STAGE_NAMES
 from .bandwidth import traffic_line
 from .paper import PAPER_MS, PAPER_SUM_MS
 from .peers import INSTALL, Comparison, compare_all, cpu_clock, load_peers, record
-from .scene import bench_scene
+from .scene import bench_scene, rendering_bar
 
 FRAMES = 300
 #: Frames whose stage inputs are kept for the peers.
@@ -119,12 +117,9 @@ def main(args=None) -> int:
     """Run everything and print the tables; ``args``: the command line's namespace (its ``frames``, where present)."""
     frames = getattr(args, "frames", None) or FRAMES
 
-    def bar(numbers):
-        return tqdm(numbers, desc="rendering", unit="frame", leave=False, disable=None, file=sys.stderr)
-
     load_peers()
     with threadpool_limits(limits=1):
-        actor, scene = bench_scene(frames, progress=bar)
+        actor, scene = bench_scene(frames, progress=rendering_bar)
         timings = time_stages(actor, scene)
         recorded = record(actor, scene, min(RECORDED, frames // 2))
         comparisons = compare_all(recorded)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
+from tqdm import tqdm
 
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
@@ -13,6 +15,11 @@ from ..synthetic.sensor import SyntheticSensor
 
 #: A development seed; the bench says nothing about accuracy.
 SEED = 7
+
+
+def rendering_bar(numbers):
+    """The numbers, with a bar on stderr while they are rendered."""
+    return tqdm(numbers, desc="rendering", unit="frame", leave=False, disable=None, file=sys.stderr)
 
 
 def bench_scene(frames: int, noise: str = "structured-light", progress=lambda frames: frames):

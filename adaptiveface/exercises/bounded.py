@@ -154,7 +154,10 @@ HINTS = (
 
 BOUNDED_LEAST_SQUARES = Exercise(
     "bounded_least_squares",
+    "04_blendshape_fit",
     TASK,
+    HINTS,
+    MISTAKES,
     random_cases,
     truth,
     parse,
@@ -162,8 +165,5 @@ BOUNDED_LEAST_SQUARES = Exercise(
     faults,
     describe,
     make_stages,
-    MISTAKES,
-    hints=HINTS,
     iterative=True,
-    notebook="04_blendshape_fit",
 )

@@ -149,14 +149,5 @@ HINTS = (
 )
 
 COTANGENT_MATRIX = Exercise(
-    "cotangent_matrix",
-    TASK,
-    random_cases,
-    truth,
-    parse,
-    close,
-    faults,
-    mistakes=MISTAKES,
-    hints=HINTS,
-    notebook="05_laplacian_deformation",
+    "cotangent_matrix", "05_laplacian_deformation", TASK, HINTS, MISTAKES, random_cases, truth, parse, close, faults
 )

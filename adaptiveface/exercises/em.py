@@ -174,7 +174,10 @@ HINTS = (
 _FEW_SHAPES = Parameters().replace(adaptive_pca__K=2)
 EM_STEP = Exercise(
     "em_step",
+    "06_incremental_pca",
     TASK,
+    HINTS,
+    MISTAKES,
     random_cases,
     truth,
     parse,
@@ -182,8 +185,5 @@ EM_STEP = Exercise(
     faults,
     describe,
     make_stages,
-    MISTAKES,
     _FEW_SHAPES,
-    HINTS,
-    notebook="06_incremental_pca",
 )

@@ -55,6 +55,11 @@ class Mistake:
     answer: Callable[..., Any]
 
 
+def switched(function: Callable[..., Any]) -> Callable[..., Callable[..., Any]]:
+    """Makes the mistakes of a ``function`` that goes wrong by its keywords: ``by(half=True)`` answers as it does with them."""
+    return functools.partial(functools.partial, function)
+
+
 @dataclass(frozen=True)
 class Grade:
     """``findings``: what is wrong, in words (none: right); ``cases``: how many were run; ``started``: not a stub."""
@@ -112,7 +117,10 @@ class Exercise:
     """
 
     name: str
+    notebook: str
     task: str
+    hints: tuple[str, str, str]
+    mistakes: tuple[Mistake, ...]
     cases: Callable[[], list[Case]]
     truth: Callable[..., Any]
     parse: Callable[[Any, Case], Any]
@@ -120,11 +128,8 @@ class Exercise:
     faults: Callable[[Any, Case], list[str]] = lambda answer, case: []
     describe: Callable[[Any, Any, Case], str] = lambda answer, truth, case: scale_hint(answer, truth)
     make_stages: Callable[[Callable], Stages] | None = None
-    mistakes: tuple[Mistake, ...] = ()
     parameters: Parameters | None = None
-    hints: tuple[str, str, str] = ("", "", "")
     iterative: bool = False
-    notebook: str = ""
     limit: float = TIME_LIMIT
 
     def hint(self, step: int = 1) -> str:

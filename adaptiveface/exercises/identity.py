@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, as_array, drawn
+from .grading import Case, Exercise, Mistake, as_array, drawn, switched
 from .pairs import close
 
 TASK = (
@@ -41,14 +41,11 @@ def parse(answer, case: Case) -> np.ndarray:
     return as_array(answer, case["identity"].shape, "the change")
 
 
-def _by(**switches):
-    return lambda **case: identity_step(**case, **switches)
-
-
 def _scaled_prior(jacobian, distances, sigma, identity):
     return identity_step(jacobian, distances, sigma, identity, prior=sigma**2, pull=sigma**2)
 
 
+_by = switched(identity_step)
 MISTAKES = (
     Mistake("the prior is missing: where the scan says little, coefficients grow without bound", _by(prior=0.0, pull=0.0)),
     Mistake(
@@ -79,6 +76,4 @@ HINTS = (
     "(J^T J / sigma^2 + I) change = -(J^T distances / sigma^2 + identity).",
 )
 
-IDENTITY_STEP = Exercise(
-    "identity_step", TASK, random_cases, identity_step, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="01_neutral_scan"
-)
+IDENTITY_STEP = Exercise("identity_step", "01_neutral_scan", TASK, HINTS, MISTAKES, random_cases, identity_step, parse, close)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..tracking.kalman import CoefficientFilter, FilterState
 from ..tracking.stages import Stages
-from .grading import Case, Exercise, Mistake, drawn
+from .grading import Case, Exercise, Mistake, drawn, switched
 from .pairs import close, packed
 
 TASK = (
@@ -79,14 +79,11 @@ def make_stages(function) -> Stages:
     return Stages(kalman=Learners)
 
 
-def _by(**switches):
-    return lambda **case: kalman_step(**case, **switches)
-
-
 def _swapped(state, covariance, measured, process_noise, measurement_noise):
     return kalman_step(state, covariance, measured, measurement_noise, process_noise)
 
 
+_by = switched(kalman_step)
 MISTAKES = (
     Mistake("the state is not moved on: predict with the transition before you correct", _by(move=False)),
     Mistake("the covariance is not moved on: it is F P F^T + Q after the prediction", _by(spread=False)),
@@ -114,14 +111,5 @@ HINTS = (
 )
 
 KALMAN_STEP = Exercise(
-    "kalman_step",
-    TASK,
-    random_cases,
-    kalman_step,
-    parse,
-    close,
-    make_stages=make_stages,
-    mistakes=MISTAKES,
-    hints=HINTS,
-    notebook="04_blendshape_fit",
+    "kalman_step", "04_blendshape_fit", TASK, HINTS, MISTAKES, random_cases, kalman_step, parse, close, make_stages=make_stages
 )

@@ -231,15 +231,14 @@ HINTS = (
 
 RIGHT_HAND_SIDE = Exercise(
     "right_hand_side",
+    "05_laplacian_deformation",
     TASK,
+    HINTS,
+    MISTAKES,
     random_cases,
     truth,
     parse,
     near,
-    lambda answer, case: [],
-    describe,
-    make_stages,
-    MISTAKES,
-    hints=HINTS,
-    notebook="05_laplacian_deformation",
+    describe=describe,
+    make_stages=make_stages,
 )

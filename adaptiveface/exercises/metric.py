@@ -94,6 +94,4 @@ HINTS = (
     "sum |tracked - true| / sum |true| over the pairs with |true| > threshold.",
 )
 
-ACTIVE_SHARE = Exercise(
-    "active_share", TASK, random_cases, truth, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="08_evaluation"
-)
+ACTIVE_SHARE = Exercise("active_share", "08_evaluation", TASK, HINTS, MISTAKES, random_cases, truth, parse, close)

@@ -214,7 +214,10 @@ HINTS = (
 
 POINT_TO_PLANE_STEP = Exercise(
     "point_to_plane_step",
+    "03_rigid_tracking",
     TASK,
+    HINTS,
+    MISTAKES,
     random_cases,
     truth,
     parse,
@@ -222,7 +225,4 @@ POINT_TO_PLANE_STEP = Exercise(
     faults,
     describe,
     make_stages,
-    MISTAKES,
-    hints=HINTS,
-    notebook="03_rigid_tracking",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, drawn
+from .grading import Case, Exercise, Mistake, drawn, switched
 from .pairs import close, packed
 
 TASK = (
@@ -55,10 +55,7 @@ def parse(answer, case: Case) -> np.ndarray:
     return vector
 
 
-def _by(**switches):
-    return lambda **case: project(**case, **switches)
-
-
+_by = switched(project)
 MISTAKES = (
     Mistake("the energy is in mm^2: the thresholds are meant in cm^2, 1 cm^2 is 100 mm^2", _by(unit=1.0)),
     Mistake("mm^2 were divided by 10 instead of 100: the unit is squared too", _by(unit=10.0)),
@@ -84,6 +81,4 @@ HINTS = (
     "v = M_A M_A^T d + M_K M_K^T d; s = d - M_A M_A^T d; energy = s.s / 100; valid = low < energy < high.",
 )
 
-PROJECT = Exercise(
-    "project", TASK, random_cases, project, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="06_incremental_pca"
-)
+PROJECT = Exercise("project", "06_incremental_pca", TASK, HINTS, MISTAKES, random_cases, project, parse, close)

@@ -108,16 +108,4 @@ HINTS = (
     "minimise x^T H x / 2 - g^T x over 0 <= x <= 1 with H = B^T B and g = B^T d - w.",
 )
 
-RESOLVE = Exercise(
-    "resolve",
-    TASK,
-    random_cases,
-    solve,
-    parse,
-    near,
-    faults,
-    mistakes=MISTAKES,
-    hints=HINTS,
-    iterative=True,
-    notebook="09_retargeting",
-)
+RESOLVE = Exercise("resolve", "09_retargeting", TASK, HINTS, MISTAKES, random_cases, solve, parse, near, faults, iterative=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, as_array, drawn
+from .grading import Case, Exercise, Mistake, as_array, drawn, switched
 from .pairs import close
 
 TASK = (
@@ -36,15 +36,12 @@ def parse(answer, case: Case) -> np.ndarray:
     return as_array(answer, (len(case["maps"]),), "the energy")
 
 
-def _by(**switches):
-    return lambda **case: rigidity(**case, **switches)
-
-
 def _to_polar(maps):
     u, _, vt = np.linalg.svd(maps)
     return ((maps - u @ vt) ** 2).sum(axis=(1, 2))
 
 
+_by = switched(rigidity)
 MISTAKES = (
     Mistake("the rows of the maps are compared: the energy is about their columns", _by(rows=True)),
     Mistake("the angles between the columns do not enter: a sheared map counts as a rotation", _by(cross=0.0)),
@@ -73,6 +70,4 @@ HINTS = (
     "with G = A^T A: G12^2 + G13^2 + G23^2 + (1 - G11)^2 + (1 - G22)^2 + (1 - G33)^2.",
 )
 
-RIGIDITY_ENERGY = Exercise(
-    "rigidity", TASK, random_cases, rigidity, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="01_neutral_scan"
-)
+RIGIDITY_ENERGY = Exercise("rigidity", "01_neutral_scan", TASK, HINTS, MISTAKES, random_cases, rigidity, parse, close)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, as_array, drawn
+from .grading import Case, Exercise, Mistake, as_array, drawn, switched
 from .pairs import close
 
 TASK = (
@@ -41,10 +41,7 @@ def parse(answer, case: Case) -> np.ndarray:
     return as_array(answer, case["targets"].shape, "d")
 
 
-def _by(**switches):
-    return lambda **case: solve_deformation(**case, **switches)
-
-
+_by = switched(solve_deformation)
 MISTAKES = (
     Mistake("L instead of L^T L: the energy is the square of L d", _by(smooth=lambda m, w: w * m)),
     Mistake("L L^T instead of L^T L: they differ where L is not symmetric", _by(smooth=lambda m, w: w * m @ m.T)),
@@ -75,13 +72,5 @@ HINTS = (
 )
 
 SOLVE_DEFORMATION = Exercise(
-    "solve_deformation",
-    TASK,
-    random_cases,
-    solve_deformation,
-    parse,
-    close,
-    mistakes=MISTAKES,
-    hints=HINTS,
-    notebook="05_laplacian_deformation",
+    "solve_deformation", "05_laplacian_deformation", TASK, HINTS, MISTAKES, random_cases, solve_deformation, parse, close
 )

@@ -92,5 +92,5 @@ HINTS = (
 )
 
 DEFORMATION_GRADIENT = Exercise(
-    "deformation_gradient", TASK, random_cases, truth, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="02_blendshapes"
+    "deformation_gradient", "02_blendshapes", TASK, HINTS, MISTAKES, random_cases, truth, parse, close
 )

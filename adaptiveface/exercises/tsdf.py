@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grading import Case, Exercise, Mistake, Wrong, drawn
+from .grading import Case, Exercise, Mistake, Wrong, drawn, switched
 from .pairs import close, packed
 
 TASK = (
@@ -80,10 +80,6 @@ def parse(answer, case: Case) -> np.ndarray:
         raise
 
 
-def _by(**switches):
-    return lambda **case: integrate(**case, **switches)
-
-
 def _emptied(**case):
     """Voxels that the frame may not speak about have lost their distance and their weight."""
     distance, weight = integrate(**case)
@@ -91,6 +87,7 @@ def _emptied(**case):
     return np.where(told, distance, 0.0), np.where(told, weight, 0.0)
 
 
+_by = switched(integrate)
 MISTAKES = (
     Mistake("the distance stays in mm: the volume holds it in units of the truncation", _by(scale=False)),
     Mistake("distances in front of the skin are not truncated at 1: far voxels outvote near ones", _by(top=False)),
@@ -123,6 +120,4 @@ HINTS = (
     "(weight + cosine), weight <- weight + cosine.",
 )
 
-TSDF_INTEGRATION = Exercise(
-    "integrate", TASK, random_cases, integrate, parse, close, mistakes=MISTAKES, hints=HINTS, notebook="01_neutral_scan"
-)
+TSDF_INTEGRATION = Exercise("integrate", "01_neutral_scan", TASK, HINTS, MISTAKES, random_cases, integrate, parse, close)

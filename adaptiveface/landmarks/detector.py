@@ -192,10 +192,6 @@ class FeatureDetector:
             return None
         return Features2D(feature_pixels(face.mesh), confidence(face.mesh, self._triangles), face)
 
-    def detect_meshes(self, colour: np.ndarray) -> list[np.ndarray]:
-        """(478, 3) landmarks of every face in ``colour`` (H, W, 3) uint8 RGB, as in :meth:`detect_faces`."""
-        return [face.mesh for face in self.detect_faces(colour)]
-
     def detect_faces(self, colour: np.ndarray) -> list[DetectedFace]:
         """Every face in ``colour`` (H, W, 3) uint8 RGB: landmarks in pixels with depth on their scale, and scores.
 

@@ -12,7 +12,6 @@ from ..runtime.blas import one_blas_thread
 from ..sensors.live import LiveFrame
 from ..sensors.worker import POLL_SECONDS, Latest, Worker, failure, packaged
 from ..tracking.adaptive_pca import AdaptiveModel
-from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
 from ..tracking.types import TrackedFrame
 from .feed import FeatureFeed
@@ -54,11 +53,10 @@ class LiveSession:
         self.feed, self.actor = feed, actor
         self.running, self.ended = True, False
         self._parameters, self._frozen = parameters or Parameters(), False
-        self._tracker = self._make_tracker(actor)
+        self._tracker = make_tracker(actor, self._wanted(), feed.sensor.colour_only)
         self._callbacks = tuple(on_result)
         self._results: Latest[LiveResult] = Latest(feed.sensor.name, "session")
         self._changed = self._results.changed
-        self._replacement: Tracker | None = None
         self._forget_learned = False
         self._count = self._failures = 0
         self._errors: list[AdaptiveFaceError] = []  # not raised yet
@@ -92,12 +90,6 @@ class LiveSession:
         """Track with other parameters from the next frame on, without losing the head or what was learned."""
         with self._changed:
             self._parameters = parameters
-
-    def set_actor(self, actor: Actor) -> None:
-        """Track with another rig (a relearned neutral) from the next frame on; starts over."""
-        tracker = self._make_tracker(actor)  # takes a moment, and is the caller's error if it fails
-        with self._changed:
-            self.actor, self._replacement, self._forget_learned = actor, tracker, False
 
     def freeze(self, on: bool) -> None:
         """Stop learning (or learn again), whatever the parameters say; what was learned stays in use."""
@@ -196,19 +188,15 @@ class LiveSession:
         self._publish(frame, self._track(frame))
         return True
 
-    def _make_tracker(self, actor: Actor) -> Tracker:
-        return make_tracker(actor, self._wanted(), self.feed.sensor.colour_only)
-
     def _wanted(self) -> Parameters:
         parameters = self._parameters
         return parameters.replace(adaptive_pca__learn=False) if self._frozen else parameters
 
     def _apply_changes(self) -> None:
         with self._changed:
-            replacement, self._replacement = self._replacement, None
             forget, self._forget_learned = self._forget_learned, False
             parameters = self._wanted()
-        tracker = replacement or self._tracker
+        tracker = self._tracker
         if forget:
             tracker.model.reset()
         if tracker.parameters != parameters:

@@ -43,10 +43,6 @@ class LiveLinkTake:
         """(F, 3, 3) rotations of the head frame (x to the subject's left, y up, z out of the face)."""
         return rotations(self.head)
 
-    def eye_rotations(self) -> np.ndarray:
-        """(F, 2, 3, 3) rotations of the left and of the right eye in the head frame; an eye looks along its z."""
-        return rotations(self.eyes.reshape(-1, 2, 3))
-
 
 def write_take(path: str | os.PathLike, take: LiveLinkTake) -> None:
     """Write one row per frame, whole or not at all; a frame that is not tracked has the count 0 and no values."""

@@ -14,7 +14,6 @@ import numpy as np
 from ..errors import FileFormatError, ParameterError
 from ..files.npz import Field, check_indices, load_checked, write_npz
 from ..geometry.polydata import expression_weights, surface
-from ..model.face_model import FaceModel, embedded_face_model
 from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
 from .shape_names import driven_shapes
@@ -203,12 +202,6 @@ def is_gltf(source: str | os.PathLike) -> bool:
     """Whether a character is a .glb, .gltf or .vrm file."""
     path = Path(source)
     return os.fspath(source) not in BUILT_IN and path.suffix.lower() in (".glb", ".gltf", ".vrm") and not path.is_dir()
-
-
-def average_character(model: FaceModel | None = None) -> Character:
-    """The mean head of a face model with its expression units: the plainest character."""
-    model = embedded_face_model() if model is None else model
-    return Character("average", model.mean, model.triangles, model.expression_names, model.expressions, skin=len(model.mean))
 
 
 def make_character(

@@ -41,19 +41,27 @@ def transferred_correctives(
     return out
 
 
-def character_correctives(result: Result, actor: Actor, character: Character, coefficients: str = "resolved") -> np.ndarray:
-    """(F, V, 3) mm for all V vertices of a character (zero beyond its skin), all in memory; see :func:`carried_correctives`.
-
-    ``coefficients``: those that drive the character, "resolved" or "initial" (v4 - v1 in the paper's sense). Raises
-    :class:`ParameterError` when the character's skin is not the actor's mesh.
-    """
-    return carried_correctives(result, actor, character, coefficients)(np.arange(len(result)))
-
-
 def carried_correctives(
     result: Result, actor: Actor, character: Character, coefficients: str = "resolved"
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """:func:`character_correctives` of a long take: a function that gives (f, V, 3) mm of the frames (f,) it is asked for."""
+    """A function that gives the correctives of the frames (f,) that it is asked for: (f, V, 3) mm, zero beyond the skin.
+
+    Parameters
+    ----------
+    result : Result
+        A take of any length; nothing of it is held.
+    actor : Actor
+        The rig that was tracked.
+    character : Character
+        Its skin has the actor's mesh.
+    coefficients : str
+        Those that drive the character: "resolved" or "initial" (v4 - v1 in the paper's sense).
+
+    Raises
+    ------
+    ParameterError
+        The character's skin is not the actor's mesh.
+    """
     if not character.shares_topology(actor.triangles):
         raise ParameterError(f"correctives cannot be carried to '{character.name}': its mesh is not the actor's")
     x = driving_coefficients(result, coefficients, actor)

@@ -16,6 +16,7 @@ from ..files import is_own
 from ..importers.obj import read_lines
 from .arkit import canonical_name
 from .character import Character, make_character
+from .shape_names import letters
 from .units import size_note, to_head_frame
 
 MAX_FILES = 1000
@@ -71,7 +72,7 @@ def load_obj_folder(folder: str | Path, unit: float | None = None) -> Character:
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".obj" and is_own(p) and p.is_file())
     if len(paths) > MAX_FILES:
         raise FileFormatError(f"{folder}: {len(paths)} OBJ files; at most {MAX_FILES} are read")
-    neutral_path = next((p for key in _NEUTRAL for p in paths if _key(p) == key), None)
+    neutral_path = next((p for key in _NEUTRAL for p in paths if letters(p.stem) == key), None)
     if neutral_path is None:
         raise FileFormatError(f"{folder}: no neutral.obj (or generic_neutral_mesh.obj) among {len(paths)} OBJ files")
     neutral, triangles = read_obj(neutral_path)
@@ -94,7 +95,3 @@ def load_obj_folder(folder: str | Path, unit: float | None = None) -> Character:
     scaled = [(name, scale * displacement) for name, displacement in shapes]
     notes += note + size_note(folder, float(np.ptp(neutral[:, 1])))
     return make_character(folder.name, neutral, triangles, scaled, notes=notes)
-
-
-def _key(path: Path) -> str:
-    return "".join(c for c in path.stem.lower() if c.isalnum())

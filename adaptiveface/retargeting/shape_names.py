@@ -26,7 +26,7 @@ def arkit_row(name: str) -> np.ndarray | None:
     A whole that ARKit splits (``eyeBlink``, ``mouthSmile``) is driven by the mean of its halves.
     """
     canonical = canonical_name(name)
-    mixture = {canonical: 1.0} if canonical else _OTHER_NAMES.get(_letters(name)) or _of_halves(name)
+    mixture = {canonical: 1.0} if canonical else _OTHER_NAMES.get(letters(name)) or _of_halves(name)
     return np.array([mixture.get(arkit, 0.0) for arkit in ARKIT_NAMES]) if mixture else None
 
 
@@ -37,7 +37,8 @@ def _of_halves(name: str) -> dict[str, float]:
     return dict.fromkeys(halves, 0.5)
 
 
-def _letters(name: str) -> str:
+def letters(name: str) -> str:
+    """Letters and digits of a name in lower case: programs write the same name in many ways."""
     return "".join(c for c in name.lower() if c.isalnum())
 
 
@@ -71,7 +72,7 @@ def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str
 
 def _half(name: str, arkit: str) -> str:
     """Which side ("l", "r") of a shape that ARKit does not split the name stands for; "" where it is the whole."""
-    keys = [_letters(part) for part in (name, name.rsplit(".", 1)[-1])]
+    keys = [letters(part) for part in (name, name.rsplit(".", 1)[-1])]
     return next((side[0] for side in _SIDES if arkit.lower() + side in keys), "")
 
 

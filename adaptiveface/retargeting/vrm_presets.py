@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .arkit import ARKIT_NAMES
+from .shape_names import letters
 
 
 def _pair(weight: float, *names: str) -> dict[str, float]:
@@ -76,11 +77,7 @@ _VROID = {
 }
 
 
-def _key(name: str) -> str:
-    return "".join(c for c in name.lower() if c.isalnum())
-
-
-_BY_KEY = {_key(name): preset for names in ({p: p for p in PRESETS}, VRM0_NAMES, _VROID) for preset, name in names.items()}
+_BY_KEY = {letters(name): preset for names in ({p: p for p in PRESETS}, VRM0_NAMES, _VROID) for preset, name in names.items()}
 
 
 def preset_name(name: str) -> str | None:
@@ -89,7 +86,7 @@ def preset_name(name: str) -> str | None:
     >>> preset_name("Blink_L"), preset_name("joy"), preset_name("Fcl_MTH_A"), preset_name("jawOpen")
     ('blinkLeft', 'happy', 'aa', None)
     """
-    return _BY_KEY.get(_key(name))
+    return _BY_KEY.get(letters(name))
 
 
 def preset_row(preset: str) -> np.ndarray:
