@@ -1,7 +1,8 @@
-"""How often correspondences are searched in a frame, by stage: ``python docs/count_searches.py [RECORDING]``.
+"""Two figures of docs/architecture.md: ``python docs/frame_figures.py [RECORDING]``; without a recording, of the demo.
 
-Without a recording, the demo is tracked. A search repeats another one when surface, points, normals, pose and
-limits are the same bytes; such a search would be superfluous.
+How often correspondences are searched in a frame, by stage. A search repeats another one of its frame when surface, points,
+normals, pose and limits are the same bytes; such a search would be superfluous. And how far head-frame meshes that are
+computed from what a result keeps (camera frame, single precision) are from the tracker's.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.parameters import Parameters
 from adaptiveface.pipeline import FrameReader, capture_from
 from adaptiveface.registration.association import find_correspondences
+from adaptiveface.result.access import to_head
 from adaptiveface.sensors import Recording
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.tracker import FaceTracker
@@ -53,17 +55,19 @@ def counted() -> Iterator[list[tuple[str, bytes]]]:
             each.stop()
 
 
-def searches(frames: Iterable[RgbdFrame], tracker: FaceTracker) -> tuple[np.ndarray, int]:
-    """Searches of every tracked frame, (F, 3) by stage, and how many of them repeat an earlier one of their frame."""
-    counts, repeated = [], 0
+def measure(frames: Iterable[RgbdFrame], tracker: FaceTracker) -> tuple[np.ndarray, int, float]:
+    """Searches of every tracked frame, (F, 3) by stage; how many repeat another one; largest error of a kept mesh, mm."""
+    counts, repeated, error = [], 0, 0.0
     for frame in frames:
         with counted() as seen:
-            tracked = tracker.track(frame).tracked
-        if tracked:
+            tracked = tracker.track(frame)
+        if tracked.tracked:
+            pose, vertices = np.float32(tracked.head_pose), np.float32(tracked.vertices)
+            error = max(error, float(np.abs(to_head(pose, vertices) - tracked.v4).max()))
             by_stage = Counter(stage for stage, _ in seen)
             counts.append([by_stage[stage] for stage in STAGES.values()])
             repeated += len(seen) - len({content for _, content in seen})
-    return np.array(counts), repeated
+    return np.array(counts), repeated, error
 
 
 def main() -> None:
@@ -79,10 +83,11 @@ def main() -> None:
             actor = capture_from(reader, parameters, None if options.recording else source.neutral_frames)
             reader.rewind()
             numbers = range(min(len(source), options.frames))
-            counts, repeated = searches(map(reader.read, numbers), FaceTracker(actor, parameters))
+            counts, repeated, error = measure(map(reader.read, numbers), FaceTracker(actor, parameters))
         for stage, column in zip((*STAGES.values(), "all"), (*counts.T, counts.sum(axis=1)), strict=True):
             print(f"| {name} | {stage} | {np.median(column):.0f} | {column.mean():.1f} | {column.max()} |")
-        print(f"| {name} | repeated in {len(counts)} frames | | | {repeated} |", flush=True)
+        print(f"| {name} | repeated in {len(counts)} frames | | | {repeated} |")
+        print(f"| {name} | error of a kept mesh, mm | | | {error:.1e} |", flush=True)
 
 
 if __name__ == "__main__":
