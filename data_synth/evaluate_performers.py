@@ -118,6 +118,7 @@ def _fingerprint(sensor: SyntheticSensor) -> str:
     sources += [package / "geometry" / name for name in ("rendering.py", "camera.py", "mesh.py")]
     sources.append(package / "assets/face_model.npz")
     digest = hashlib.sha256(repr((sensor.neutral_frames, sensor.frames, sensor.repeats, sensor.feature_noise)).encode())
+    digest.update(np.ascontiguousarray(sensor.script).tobytes())
     for path in sources:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

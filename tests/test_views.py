@@ -397,7 +397,13 @@ def test_kept_results_are_the_trackers_in_less_than_half_the_memory(session, cha
 
 
 @pytest.mark.parametrize(
-    "changes", [{"adaptive_pca__S": 4}, {"adaptive_pca__S": 3, "adaptive_pca__startup": "full-buffer"}, {}]
+    "changes",
+    [
+        {"adaptive_pca__S": 4},
+        {"adaptive_pca__S": 3, "adaptive_pca__startup": "full-buffer"},
+        {"adaptive_pca__S": 4, "adaptive_pca__buffer": "distinct"},
+        {},
+    ],
 )
 def test_trackers_of_the_past_are_what_they_were(session, changes):
     """Their correctives are made of samples again, also where the buffer has gone round."""

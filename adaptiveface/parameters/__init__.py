@@ -18,6 +18,7 @@ from .tracking import (
     DepthParameters,
     KalmanParameters,
     LaplacianParameters,
+    PersonalBlendshapesParameters,
     RefinementParameters,
     RigidParameters,
     SkinParameters,
@@ -32,6 +33,7 @@ __all__ = [
     "KalmanParameters",
     "LaplacianParameters",
     "Parameters",
+    "PersonalBlendshapesParameters",
     "RefinementParameters",
     "RigidParameters",
     "ShrinkWrapParameters",
@@ -55,6 +57,7 @@ class Parameters(StageSet):
     laplacian: LaplacianParameters = field(default_factory=LaplacianParameters)
     skin: SkinParameters = field(default_factory=SkinParameters)
     adaptive_pca: AdaptivePcaParameters = field(default_factory=AdaptivePcaParameters)
+    personal_blendshapes: PersonalBlendshapesParameters = field(default_factory=PersonalBlendshapesParameters)
 
 
 for _field in fields(Parameters):

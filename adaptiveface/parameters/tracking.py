@@ -256,6 +256,13 @@ class AdaptivePcaParameters(Stage):
 
     K: int = parameter(12, "number of corrective shapes", section="5", low=0, high=100, paper=7)
     S: int = parameter(200, "samples kept in the buffer", section="5", low=2, high=2000)
+    buffer: str = parameter(
+        "newest",
+        "which samples a full buffer keeps: the newest, or those that differ most from each other",
+        section="5",
+        choices=("newest", "distinct"),
+        paper="newest",
+    )
     valid_min: float = parameter(
         1.0,
         "samples with a smaller squared norm lie in the anchor space",
@@ -331,3 +338,23 @@ class SkinParameters(Stage):
     cg_iterations: int = parameter(
         5, "preconditioned conjugate-gradient iterations of the depth deformation with colours", low=1, high=50
     )
+
+
+@dataclass(frozen=True)
+class PersonalBlendshapesParameters(Stage):
+    """The expressions' meshes, improved while tracking (Bouaziz et al. 2013); not in the paper."""
+
+    on: bool = parameter(False, "improve the expressions' meshes from the tracked frames", paper=False)
+    spread: float = parameter(
+        0.3, "prior deviation of an expression's motion from the transferred one, as a share of it", low=0.01, high=2, log=True
+    )
+    noise: float = parameter(
+        2.0,
+        "deviation of a frame from its expressions, as if frames erred on their own",
+        unit="mm",
+        low=0.1,
+        high=100,
+        log=True,
+    )
+    memory: int = parameter(3000, "frames with expression after which a frame counts a third", low=10, high=1000000, log=True)
+    interval: int = parameter(60, "learned frames between two updates of the meshes", low=1, high=10000, log=True)

@@ -18,6 +18,7 @@ import numpy as np
 from ..caches.compiled import compiled
 from ..model.actor import Actor
 from ..parameters import AdaptivePcaParameters
+from .sample_buffer import redundant_sample
 from .types import SampleState
 
 #: The paper's thresholds hold for centimetres and this many vertices.
@@ -119,7 +120,8 @@ class AdaptiveModel:
     The corrective shapes are kept as combinations of the samples in the buffer, M_K = S Z: an EM step then is made of small
     matrices, and a frame reads the buffer twice, for S^T s and for the combination of samples that M_K M_K^T s is.
 
-    Learned state: ``mix`` (S, k <= K), Z with orthonormal S Z; ``count`` samples in the buffer; ``updates``.
+    Learned state: ``mix`` (S, k <= K), Z with orthonormal S Z; ``count`` samples in the buffer, of ``seen`` valid ones in
+    all; ``ages`` (S,), the numbers of those in the buffer among all; ``updates``.
     ``em``: the EM iterations of one update, as :func:`em_in_sample_space` makes them.
     """
 
@@ -147,12 +149,13 @@ class AdaptiveModel:
         s = self.parameters.S
         self.updates = 0
         self.count = 0
-        self._next = 0
+        self.seen = 0
         self.mix = np.zeros((s, 0))
         self._correctives: np.ndarray | None = None
         # Samples in float32: half the memory traffic of the two passes over S, far below the sensor's noise.
         self._samples = np.zeros((s, self._size), np.float32)
         self._gram = np.zeros((s, s))
+        self.ages = np.zeros(s, int)
         self._coordinates = np.zeros((s, 0))
         self._sample_anchors = np.zeros((s, self.anchors.shape[1]))
         self._corrective_anchors = np.zeros((self.anchors.shape[1], 0))
@@ -229,15 +232,15 @@ class AdaptiveModel:
 
     def samples(self) -> np.ndarray:
         """(count, 3n) the displacements in the buffer, the oldest first."""
-        order = (np.arange(self.count) + (self._next if self.count == self.parameters.S else 0)) % self.parameters.S
+        order = np.argsort(self.ages[: self.count])
         return self._samples[order] + self._sample_anchors[order].astype(np.float32) @ self._anchor_rows
 
     def learn_all(self, displacements: np.ndarray) -> None:
-        """Start over from displacements (m, 3n): the correctives to which EM on their newest S valid ones converges."""
+        """Start over from displacements (m, 3n): the correctives to which EM on the valid ones that are kept converges."""
         self.reset()
         if not self.parameters.K:
             return
-        for displacement in displacements[-self.parameters.S :]:
+        for displacement in displacements[-self.parameters.S :] if self.parameters.buffer == "newest" else displacements:
             parts = self.parts(displacement)
             if self.classify(parts) is SampleState.LEARNED:
                 self._store(parts)
@@ -249,20 +252,30 @@ class AdaptiveModel:
         self._take(directions[:, keep])
 
     def _store(self, parts: Parts) -> None:
-        """Put a sample into the buffer (the oldest one leaves) and keep S^T S and M_K^T S up to date."""
+        """Put a sample into the buffer (one leaves where that is full) and keep S^T S and M_K^T S up to date."""
         if self._shared:
             self._samples, self._gram = self._samples.copy(), self._gram.copy()
             self._coordinates, self._sample_anchors = self._coordinates.copy(), self._sample_anchors.copy()
             self._shared = False
-        row, known = self._next, self.count
-        self._next = (row + 1) % self.parameters.S
+        row, known = self._free_row(parts), self.count
         self.count = min(known + 1, self.parameters.S)
+        self.ages = np.where(np.arange(self.parameters.S) == row, self.seen, self.ages)
+        self.seen += 1
         self._samples[row] = parts.residual
         self._gram[row, :known] = self._gram[:known, row] = parts.products
         self._gram[row, row] = self._samples[row] @ self._samples[row]
         self._sample_anchors[row] = parts.in_anchors
         self._coordinates[row] = parts.in_correctives
         self._newest = row
+
+    def _free_row(self, parts: Parts) -> int:
+        """Where a new sample goes: the next free row, else that of the oldest sample or of the most redundant one."""
+        if self.count < self.parameters.S:
+            return self.count
+        if self.parameters.buffer == "newest":
+            return int(self.ages.argmin())
+        square = float(parts.residual @ parts.residual)
+        return int(redundant_sample(self._gram, self.ages, parts.products, square))
 
     def _grow(self) -> None:
         """Until K shapes exist, make the newest sample's own direction one of them: (s - M_K M_K^T s) / length.

@@ -121,7 +121,7 @@ class Tracker(ABC):
         """Make the stages whose parameters differ from ``old``; all of them where that is None."""
         p, make = self.parameters, self.stages
         if differ(old, p, "blendshapes"):
-            self.blendshapes = make.blendshapes(self.actor, p.blendshapes)
+            self.blendshapes = self.transferred = make.blendshapes(self.actor, p.blendshapes)
         if differ(old, p, "kalman"):
             self.kalman = make.kalman(p.kalman)
         if old is None:
@@ -130,7 +130,7 @@ class Tracker(ABC):
             self.final_deformation = self.final_deformation.reweighted(*p.laplacian.final_energies)
 
     def _new_model(self) -> AdaptiveModel:
-        return self.stages.adaptive_pca(self.actor, self.blendshapes.basis, self.parameters.adaptive_pca)
+        return self.stages.adaptive_pca(self.actor, self.transferred.basis, self.parameters.adaptive_pca)
 
     @abstractmethod
     def track(self, frame: RgbdFrame) -> TrackedFrame:

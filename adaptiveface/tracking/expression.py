@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import cv2
 import numpy as np
@@ -130,23 +131,31 @@ class BlendshapeFit:
     add_rows = staticmethod(add_rows)
 
     def __init__(self, actor: Actor, parameters: BlendshapeParameters, solver: BoundedSolver = bounded_least_squares) -> None:
-        count = min(parameters.A, len(actor.blendshapes))
-        self.parameters, self._solver = parameters, solver
+        self.parameters, self._solver, self._actor = parameters, solver, actor
         self.neutral = actor.neutral
-        self.basis = actor.blendshapes[:count]
         #: Every so many of the vertices that may take a depth correspondence, and their part of b0 and B.
         self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)[:: parameters.vertex_stride]
         self._b0 = np.ascontiguousarray(self.neutral[self.depth_vertices])
+        self._middle = self._b0.mean(axis=0)
+        self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[actor.feature_triangles])
+        self._take(actor.blendshapes[: parameters.A])
+
+    def _take(self, basis: np.ndarray) -> None:
+        """Fit with the expressions ``basis`` (A, N, 3), mm."""
+        self.basis, count, actor = basis, len(basis), self._actor
         # Single precision: half the memory to stream in every round, and still 1e-5 mm.
         self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0), np.float32)
         self._b_flat = self._b.reshape(-1, count)
-        self._middle = self._b0.mean(axis=0)
-        corners = actor.feature_triangles
-        self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[corners])
-        self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, corners])
+        self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, actor.feature_triangles])
         self._flat = self.basis.reshape(count, -1).astype(np.float32)
         #: Section 6: the re-solve of the final mesh, ``resolve(vertices (N, 3), start (A,))``.
-        self.resolve = SparseResolve(actor, self.basis, parameters, np.float32, solver)
+        self.resolve = SparseResolve(actor, self.basis, self.parameters, np.float32, self._solver)
+
+    def with_basis(self, basis: np.ndarray) -> Self:
+        """The same fit with other meshes (A, N, 3) of the same expressions, displacements from the neutral, mm."""
+        out = copy.copy(self)
+        out._take(basis)
+        return out
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """v1 = b0 + B x, (N, 3) in the head frame."""

@@ -13,6 +13,7 @@ from ..parameters import (
     AdaptivePcaParameters,
     BlendshapeParameters,
     KalmanParameters,
+    PersonalBlendshapesParameters,
     RefinementParameters,
     RigidParameters,
     SkinParameters,
@@ -23,6 +24,7 @@ from .expression import BlendshapeFit
 from .feature_refinement import FeatureRefinement
 from .kalman import CoefficientFilter
 from .laplacian import LaplacianDeformation
+from .personal_blendshapes import PersonalBlendshapes
 from .region import FrontalRegion
 from .rigid import RigidTracker
 
@@ -47,6 +49,8 @@ class Stages:
         Sections 4.3 and 4.4. Other weights reach an existing stage through its ``reweighted``.
     adaptive_pca : (actor, blendshapes (A, N, 3), parameters) -> AdaptiveModel
         Sections 4.3 and 5.
+    personal_blendshapes : (expressions (A, n, 3) over the frontal region, parameters) -> PersonalBlendshapes
+        Not in the paper; made only where they are on.
     refinement : (actor, parameters) -> FeatureRefinement
         Not in the paper; made only for an actor whose appearance is known.
     skin : (skin, frontal region, deformation, parameters) -> DenseSkin
@@ -59,5 +63,6 @@ class Stages:
     deformation: Callable[[Actor, float, float], LaplacianDeformation] = LaplacianDeformation.of
     final_deformation: Callable[[Actor, float, float], LaplacianDeformation] = LaplacianDeformation.of
     adaptive_pca: Callable[[Actor, np.ndarray, AdaptivePcaParameters], AdaptiveModel] = AdaptiveModel
+    personal_blendshapes: Callable[[np.ndarray, PersonalBlendshapesParameters], PersonalBlendshapes] = PersonalBlendshapes
     refinement: Callable[[Actor, RefinementParameters], FeatureRefinement] = FeatureRefinement
     skin: Callable[[Skin, FrontalRegion, LaplacianDeformation, SkinParameters], DenseSkin] = DenseSkin

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from .detection import pose_from_features
 from .feature_confidence import weigh_features
 from .feature_refinement import FeatureRefinement
 from .feature_rows import reprojection_errors
+from .personal_blendshapes import PersonalBlendshapes
 from .printed import depth_offsets, offsets_at_features
 from .rigid import RigidFit
 from .skin_term import SkinTerm
@@ -66,6 +68,22 @@ class FaceTracker(Tracker):
             motion = np.linalg.norm(self.blendshapes.basis[:, fitted], axis=2).max(axis=0)
             self.rigid = make.rigid(1.0 / (1.0 + (motion / p.rigid.stiff) ** 2), p.rigid)
             self._fitted = self.region.local[fitted]
+        if differ(old, p, "personal_blendshapes", "blendshapes.A"):
+            self.personal = self._make_personal()
+        if differ(old, p, "personal_blendshapes", "blendshapes"):
+            self._wear_personal()
+
+    def _make_personal(self) -> PersonalBlendshapes | None:
+        p, basis = self.parameters.personal_blendshapes, self.transferred.basis
+        return self.stages.personal_blendshapes(basis[:, self.region.vertices], p) if p.on else None
+
+    def _wear_personal(self) -> None:
+        """Fit with the expressions as they are known now; the anchors stay those of the transferred ones."""
+        self.blendshapes = self.transferred
+        if self.personal is not None and self.personal.updates:
+            basis = self.transferred.basis.copy()
+            basis[:, self.region.vertices] += self.personal.change
+            self.blendshapes = self.transferred.with_basis(basis)
 
     def _make_skin(self) -> DenseSkin | None:
         """The colour term, where the actor's skin is known; it works with soft rows only."""
@@ -73,6 +91,25 @@ class FaceTracker(Tracker):
         if skin is None or not p.skin.on or p.laplacian.depth_term != "point-to-plane" or p.laplacian.feature_rows != "soft":
             return None
         return self.stages.skin(skin, self.region, self.deformation, p.skin)
+
+    def reset(self) -> None:
+        """Start over: forget the pose, the expression and everything learned."""
+        if self.personal is not None:
+            self.personal.reset()
+            self._wear_personal()
+        super().reset()
+
+    def copy(self) -> Self:
+        """The tracker as it is between two frames, without copying arrays: tracking on replaces them."""
+        out = super().copy()
+        out.personal = None if self.personal is None else self.personal.copy()
+        return out
+
+    def personal_actor(self) -> Actor:
+        """The actor with the expressions as they are known now, to be saved; another tracker goes on from there."""
+        blendshapes = self.given.blendshapes.copy()
+        blendshapes[: len(self.blendshapes.basis)] = self.blendshapes.basis
+        return replace(self.given, blendshapes=blendshapes)
 
     def track(self, frame: RgbdFrame) -> TrackedFrame:
         """Track one frame (section 4).
@@ -123,6 +160,8 @@ class FaceTracker(Tracker):
             state = self._learn(parts, coverage, occluded)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
+        with timed(ms, "adaptive_pca"):
+            self._learn_expressions(state, coefficients, v2, coverage)
 
         self.state = TrackerState(pose, x, v1, v4, deformation, self.state.filter)
         return TrackedFrame(
@@ -245,3 +284,9 @@ class FaceTracker(Tracker):
         if coverage < p.min_coverage or occluded > p.max_occluded:
             return SampleState.HIDDEN
         return self.model.learn(parts) if p.learn else self.model.classify(parts)
+
+    def _learn_expressions(self, state: SampleState, x: np.ndarray, v2: np.ndarray, coverage: float) -> None:
+        """What v2 says about the meshes of the expressions, from frames that the correctives would learn from, too."""
+        if self.personal is not None and state in (SampleState.IN_ANCHOR_SPACE, SampleState.LEARNED):
+            if self.personal.learn(x, self.region.difference(v2, self.blendshapes.shape(x)), coverage):
+                self._wear_personal()

@@ -20,7 +20,7 @@ _NONE = np.zeros((0, 3))
 
 @dataclass
 class _Entry:
-    """A tracker without its sample buffer, which held the newest among the first ``seen`` of the run's samples ``rows``.
+    """A tracker without its sample buffer, which held some among the first ``seen`` of the run's samples ``rows``.
 
     ``v1``, ``v4``: its state's meshes, or the result that has them.
     """
@@ -46,7 +46,7 @@ class History:
     def start_over(self) -> None:
         """Another run begins; what is known of the last one stays until its frames come."""
         self._rows: list[np.ndarray] = []
-        self._next, self._model = 0, None
+        self._model: AdaptiveModel | None = None
 
     def keep(self, index: int, tracker: Tracker, last: tuple[TrackedFrame, TrackedFrame] | None) -> None:
         """Keep ``tracker`` as the one before frame ``index``.
@@ -57,9 +57,8 @@ class History:
         meshes = [_mesh(getattr(state, name), name, last) for name in ("v1", "v4")]
         kept.state = replace(state, v1=_NONE, v4=_NONE, deformation=in_own_pages(state.deformation.astype(np.float32)))
         model = tracker.model
-        if model._next != self._next:  # at most one sample per frame
-            self._rows.append(in_own_pages(model._samples[self._next]))
-            self._next = model._next
+        if model.seen != len(self._rows):  # at most one sample per frame
+            self._rows.append(in_own_pages(model._samples[model.ages.argmax()]))
             self._model = None
         if self._model is None:
             self._model = copy.copy(model)
@@ -95,7 +94,6 @@ def _mesh(mesh: np.ndarray, name: str, last: tuple[TrackedFrame, TrackedFrame] |
 
 
 def _buffer(entry: _Entry, model: AdaptiveModel) -> np.ndarray:
-    """(count, 3n) the sample buffer as it was, in its own order: sample n lies in row n modulo its size."""
-    newest, size = entry.seen - 1, model.parameters.S
-    rows = [entry.rows[newest - (newest - row) % size] for row in range(model.count)]
+    """(count, 3n) the sample buffer as it was, in its own order."""
+    rows = [entry.rows[number] for number in model.ages[: model.count]]
     return np.array(rows, np.float32).reshape(model.count, len(model.anchors))

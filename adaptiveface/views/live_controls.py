@@ -19,6 +19,7 @@ STAGES = (
     "laplacian",
     "skin",
     "adaptive_pca",
+    "personal_blendshapes",
     "blendshapes",
     "kalman",
     "rigid",

@@ -23,6 +23,7 @@ TITLES = {
     "laplacian": "Laplacian (4.3, 4.4)",
     "skin": "dense skin",
     "adaptive_pca": "adaptive PCA (5)",
+    "personal_blendshapes": "personal blendshapes",
 }
 #: Jupyter's tabs have one width and cut longer titles off.
 TAB_STYLE = "<style>.adaptiveface-tabs .lm-TabBar-tab {flex: 0 0 auto !important; max-width: none !important}</style>"

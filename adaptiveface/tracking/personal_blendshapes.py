@@ -1,0 +1,120 @@
+"""Blendshapes that become the person's own while tracking; not in the paper, whose section 8 names their lack.
+
+After Bouaziz, Wang and Pauly 2013 (Online modeling for realtime facial animation): every trusted frame tells by how much its
+mesh differs from b0 + B x, and what the frames have in common is a change dB of the expressions' meshes. Per vertex v, over
+frames t with coefficients x_t and observed displacements d_t(v) - B(v) x_t = r_t(v),
+
+    min over dB(v), c(v):  sum_t w_t |r_t(v) - dB(v) x_t - c(v)|^2 / noise^2
+                           + sum_i |dB_i(v)|^2 / (spread |b_i(v)|)^2 + |c(v)|^2 / misfit^2
+
+so that an expression changes only where it moves, by a share of its own motion, as smoothly as that; whatever is off at rest
+goes into c, which is not used: the neutral stays, and coefficients of zero change nothing.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Self
+
+import numpy as np
+
+from ..caches.compiled import compiled
+from ..parameters import PersonalBlendshapesParameters
+
+#: Standard deviation of the neutral's own error c, mm.
+MISFIT = 1.0
+
+
+@compiled
+def _accumulate(moments: np.ndarray, x: np.ndarray, residual: np.ndarray, weight: float, decay: float) -> None:
+    """``moments`` (A + 1, 3n) = decay moments + weight x residual^T in place, in one pass."""
+    for i in range(len(x)):
+        factor = np.float32(weight * x[i])
+        for j in range(len(residual)):
+            moments[i, j] = np.float32(decay) * moments[i, j] + factor * residual[j]
+
+
+class PersonalBlendshapes:
+    """Learns the change dB of the expressions over the n frontal vertices.
+
+    Parameters
+    ----------
+    basis : (A, n, 3)
+        The transferred expressions as displacements from the neutral, mm.
+    parameters
+        See :class:`.PersonalBlendshapesParameters`.
+
+    Attributes
+    ----------
+    change : (A, n, 3)
+        dB, mm. An update replaces it.
+    updates : int
+        How often that was.
+    """
+
+    def __init__(self, basis: np.ndarray, parameters: PersonalBlendshapesParameters) -> None:
+        self.parameters = parameters
+        lengths = np.linalg.norm(basis, axis=2).T
+        #: (n, A + 1) prior standard deviations of dB and c, mm.
+        self._deviations = np.column_stack([parameters.spread * lengths, np.full(len(lengths), MISFIT)])
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the expressions are the transferred ones."""
+        n, unknowns = self._deviations.shape
+        self.change = np.zeros((unknowns - 1, n, 3))
+        self.updates = 0
+        self._gram = np.zeros((unknowns, unknowns))
+        self._moments = np.zeros((unknowns, 3 * n), np.float32)
+        self._coming, self._solved = np.zeros((unknowns - 1, n, 3)), 0
+        self._shared = False
+
+    def copy(self) -> Self:
+        """One that goes its own way; arrays are copied when one of the two learns."""
+        out = copy.copy(self)
+        self._shared = out._shared = True
+        return out
+
+    def learn(self, x: np.ndarray, rest: np.ndarray, trust: float = 1.0) -> bool:
+        """Learn from a frame; True when ``change`` is another one now.
+
+        Parameters
+        ----------
+        x : (A,)
+            The frame's coefficients.
+        rest : (3n,)
+            How far the frame's mesh lies from b0 + (B + dB) x, mm.
+        trust : float
+            How much the frame counts.
+        """
+        if self._shared:
+            self._gram, self._moments, self._coming = self._gram.copy(), self._moments.copy(), self._coming.copy()
+            self._shared = False
+        residual = (rest + x @ self.change.reshape(len(x), -1)).astype(np.float32)
+        unknowns = np.append(x, 1.0)
+        # A face at rest has nothing to say about expressions, and makes none of them forgotten.
+        decay = float(np.exp(-trust * min(float(x @ x), 1.0) / self.parameters.memory))
+        self._gram = decay * self._gram + trust * np.outer(unknowns, unknowns)
+        _accumulate(self._moments, unknowns, residual, trust, decay)
+        return self._solve_some()
+
+    def _solve_some(self) -> bool:
+        """Solve for a few vertices of the next ``change``, so that no frame takes long; True when it is complete."""
+        n = len(self._deviations)
+        part = slice(self._solved, min(self._solved + -(-n // self.parameters.interval), n))
+        self._coming[:, part] = self._solution(part)
+        self._solved = part.stop
+        if part.stop < n:
+            return False
+        self.change, self._coming, self._solved = self._coming, np.zeros_like(self._coming), 0
+        self.updates += 1
+        return True
+
+    def _solution(self, part: slice) -> np.ndarray:
+        """(A, m, 3) dB of a slice of m vertices: (D G D + noise^2 1) z = D R with dB = D z and D the prior's deviations."""
+        d = self._deviations[part]
+        matrices = d[:, :, None] * self._gram * d[:, None, :]
+        matrices += self.parameters.noise**2 * np.eye(d.shape[1])
+        moments = self._moments.reshape(len(self._gram), -1, 3)[:, part].transpose(1, 0, 2)
+        solved = d[:, :, None] * np.linalg.solve(matrices, d[:, :, None] * moments)
+        return solved[:, :-1].transpose(1, 0, 2)

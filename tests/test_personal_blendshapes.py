@@ -1,0 +1,191 @@
+"""Expressions that become the person's own while tracking: what is learned, from which frames, and what never changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
+
+from adaptiveface.model.actor import Actor
+from adaptiveface.parameters import Parameters, PersonalBlendshapesParameters
+from adaptiveface.tracking.personal_blendshapes import PersonalBlendshapes
+from adaptiveface.tracking.tracker import FaceTracker
+from adaptiveface.tracking.types import SampleState
+
+ON = Parameters().replace(
+    personal_blendshapes__on=True, personal_blendshapes__interval=5, personal_blendshapes__noise=2.0, adaptive_pca__K=0
+)
+
+
+def small_basis(seed=0, expressions=3, vertices=40):
+    """(A, n, 3) expressions; the last quarter of the vertices is moved by none of them."""
+    basis = 5.0 * np.random.default_rng(seed).normal(size=(expressions, vertices, 3))
+    basis[:, -vertices // 4 :] = 0.0
+    return basis
+
+
+def learned(basis, change, frames=400, offset=0.0, seed=1, **parameters):
+    """What is learned from frames of a person whose expressions are ``basis + change``; (change, the learner)."""
+    settings = PersonalBlendshapesParameters(on=True, **{"interval": 4, "noise": 1.0, "memory": 100000} | parameters)
+    learner, rng = PersonalBlendshapes(basis, settings), np.random.default_rng(seed)
+    for _ in range(frames):
+        x = rng.uniform(0, 1, len(basis)) * (rng.uniform(size=len(basis)) < 0.6)
+        rest = np.tensordot(x, change - learner.change, axes=1) + offset
+        learner.learn(x, rest.ravel())
+    return learner
+
+
+def test_a_persons_own_expressions_are_found():
+    basis = small_basis()
+    change = 0.2 * np.random.default_rng(5).normal(size=basis.shape) * np.linalg.norm(basis, axis=2, keepdims=True)
+    error = learned(basis, change).change - change
+    assert np.sqrt((error**2).mean()) < 0.03 * np.sqrt((change**2).mean())
+
+
+def test_expressions_change_only_where_they_move():
+    basis = small_basis()
+    change = learned(basis, np.ones_like(basis)).change
+    assert np.abs(change[:, :30]).max() > 0.5
+    np.testing.assert_array_equal(change[:, 30:], 0.0)
+
+
+def test_what_is_off_at_rest_is_no_expression():
+    """A neutral that is wrong by half a millimetre everywhere, in every frame."""
+    basis = small_basis()
+    assert np.abs(learned(basis, 0.0 * basis, offset=0.5).change).max() < 0.01
+
+
+def test_a_face_at_rest_forgets_nothing():
+    basis = small_basis()
+    learner = learned(basis, 0.2 * basis, memory=50)
+    before = learner.change.copy()
+    for _ in range(500):
+        learner.learn(np.zeros(3), np.zeros(basis[0].size))
+    np.testing.assert_allclose(learner.change, before, atol=0.02)
+
+
+def test_few_frames_change_little():
+    basis = small_basis()
+    sizes = [np.abs(learned(basis, 0.2 * basis, frames=n, noise=5.0).change).mean() for n in (8, 40, 400)]
+    assert sizes[0] < 0.7 * sizes[1] < 0.7 * sizes[2] and sizes[2] < np.abs(0.2 * basis).mean()
+
+
+def test_copies_learn_each_for_itself():
+    basis = small_basis()
+    first = learned(basis, 0.2 * basis, frames=50)
+    second = first.copy()
+    kept = first.change.copy(), first._gram.copy(), first._moments.copy()
+    for _ in range(20):
+        second.learn(np.ones(3), np.ones(basis[0].size))
+    for before, now in zip(kept, (first.change, first._gram, first._moments), strict=True):
+        np.testing.assert_array_equal(before, now)
+    assert np.abs(second.change - first.change).max() > 0.01
+
+
+# ---- in the tracker ------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def actor():
+    return exact_actor()
+
+
+@pytest.fixture(scope="module")
+def person(actor):
+    """The same face with expressions of its own, which go aside by a third of the way."""
+    aside = np.cross(actor.blendshapes, [0.1, 0.3, 0.1])
+    return replace(actor, blendshapes=actor.blendshapes + aside)
+
+
+@pytest.fixture(scope="module")
+def performance(actor, person):
+    """Coefficients (F, A) and the frames in which the person performs them."""
+    phase = np.linspace(0, 4 * np.pi, 44)
+    x = np.stack(
+        [
+            coefficients(
+                actor,
+                jawOpen=0.4 - 0.4 * np.cos(a),
+                mouthSmileLeft=0.4 - 0.4 * np.cos(1.5 * a),
+                mouthSmileRight=0.4 - 0.4 * np.cos(1.5 * a),
+                browInnerUp=0.4 - 0.4 * np.cos(2 * a),
+            )
+            for a in phase
+        ]
+    )
+    frames = [render_frame(person, posed_shape(person, row), head_pose(), k, noise=0.3) for k, row in enumerate(x)]
+    return x, frames
+
+
+@pytest.fixture(scope="module")
+def tracker(actor, performance):
+    """A tracker that has seen the performance once."""
+    tracker = FaceTracker(actor, ON)
+    assert all(tracker.track(frame).tracked for frame in performance[1])
+    assert tracker.personal.updates >= 5
+    return tracker
+
+
+def test_known_coefficients_are_met_better(actor, tracker, performance):
+    """The repeat of a performance, with the expressions of the rig and with those learned the first time."""
+    x, frames = performance
+    errors = {}
+    for name, rig in (("transferred", actor), ("personal", tracker.personal_actor())):
+        again = FaceTracker(rig, Parameters().replace(adaptive_pca__K=0))
+        found = np.array([again.track(frame).coefficients for frame in frames[::3]])
+        errors[name] = np.sqrt(np.mean((found - x[::3]) ** 2))
+    assert errors["personal"] < 0.93 * errors["transferred"]
+
+
+def test_the_neutral_stays_what_it_is(actor, tracker):
+    zero = np.zeros(len(tracker.blendshapes.basis))
+    assert np.abs(tracker.blendshapes.basis - actor.blendshapes[: len(zero)]).max() > 0.5
+    np.testing.assert_array_equal(tracker.blendshapes.shape(zero), actor.neutral)
+    np.testing.assert_array_equal(tracker.personal_actor().neutral, actor.neutral)
+    np.testing.assert_array_equal(
+        tracker.blendshapes.basis[:, ~actor.frontal], actor.blendshapes[: len(zero)][:, ~actor.frontal]
+    )
+
+
+def test_a_frame_behind_a_hand_teaches_nothing(tracker, performance):
+    frame = performance[1][-1]
+    depth = frame.depth.copy()
+    rows, columns = np.nonzero(depth)
+    near = depth[rows, columns].min() - 60.0
+    middle = int(columns.mean())
+    depth[rows.min() : rows.max(), middle : middle + 90] = near
+    hidden, before = tracker.copy(), tracker.personal._gram.copy()
+    result = hidden.track(replace(frame, depth=depth))
+    assert result.tracked and result.sample_state is SampleState.HIDDEN
+    np.testing.assert_array_equal(hidden.personal._gram, before)
+    seen = tracker.copy()
+    assert seen.track(frame).tracked and np.abs(seen.personal._gram - before).max() > 0.1
+
+
+def test_the_same_frames_give_the_same_bits(actor, tracker, performance):
+    again = FaceTracker(actor, ON)
+    for frame in performance[1]:
+        result = again.track(frame)
+    np.testing.assert_array_equal(again.blendshapes.basis, tracker.blendshapes.basis)
+    np.testing.assert_array_equal(result.v4, tracker.state.v4)
+    again.reset()
+    assert again.blendshapes is again.transferred and not again.personal.change.any()
+
+
+def test_they_are_kept_with_the_actor_when_asked(actor, tracker, tmp_path):
+    path = tmp_path / "actor.npz"
+    tracker.personal_actor().save(path)
+    np.testing.assert_allclose(Actor.load(path).blendshapes[:23], tracker.blendshapes.basis, atol=1e-4)
+    np.testing.assert_array_equal(FaceTracker(tracker.given, ON).blendshapes.basis, actor.blendshapes[:23])
+
+
+def test_other_parameters_keep_what_was_learned(tracker):
+    softer = tracker.with_parameters(ON.replace(blendshapes__w=1e-5, laplacian__w2=2.0))
+    np.testing.assert_array_equal(softer.blendshapes.basis, tracker.blendshapes.basis)
+    off = tracker.with_parameters(ON.replace(personal_blendshapes__on=False))
+    assert off.personal is None and off.blendshapes is off.transferred
+
+
+def test_the_paper_goes_without(actor, performance):
+    assert not Parameters.paper().personal_blendshapes.on
+    tracker = FaceTracker(actor, Parameters.paper())
+    tracker.track(performance[1][0])
+    assert tracker.personal is None and tracker.blendshapes is tracker.transferred
