@@ -3,6 +3,7 @@
     python data_synth/evaluate_features.py                              # what is reported: seeds 1000 to 1002
     python data_synth/evaluate_features.py --seeds 3 12 --cache /tmp/f  # while developing: seeds below 100
     python data_synth/evaluate_features.py --skin                       # detected features without and with dense skin
+    python data_synth/evaluate_features.py --skin --looks               # the same in other skins, lights and cameras
 
 Each performer's colour pictures are rendered and searched by MediaPipe. The face is captured and tracked twice on the
 same depth frames: with the detected features (refined by the pictures, unless --set refinement.on=false), and with the
@@ -13,6 +14,10 @@ Two tables: motion errors as everywhere, with the actor's head laid onto the tru
 for comparison, with the head where the frames of the resting face were tracked, so that vertices that slid along the skin
 of the forehead or the cheeks in the neutral do not count at the lips (``metrics.tracked_alignment``). Exit status 1 when, by
 the first, the mean over the performers of any figure is more than 25 % worse with detected features.
+
+``--looks`` takes names of looks as sources have them (``skin=oily:light=moving``), without any all of ``LOOKS``. Then a last
+table has a row for each, and says by how much figures with dense skin are worse in moving or changing light than in steady
+light, and, where the skin has no texture, worse than without dense skin.
 """
 
 from __future__ import annotations
@@ -34,6 +39,7 @@ from adaptiveface.landmarks import FeatureDetector  # noqa: E402
 from adaptiveface.model.actor import Actor  # noqa: E402
 from adaptiveface.neutral.capture import capture_actor  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
+from adaptiveface.synthetic.look import parse_performer  # noqa: E402
 from adaptiveface.synthetic.sensor import SyntheticSensor  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 
@@ -46,6 +52,16 @@ FIGURES = ("surface_p95", "active_share", "lips", "eyes", "brows")
 EXACT_DETECTED = {"exact": ("exact", {}), "detected": ("detected", {})}
 SKIN = {"without": ("detected", {"skin__on": False}), "with": ("detected", {"skin__on": True})}
 SKIN_FIGURES = (*FIGURES, "cheeks", "chin", "tangential")
+#: Skins in steady light, of which one has no texture; then the same in other light. "": the drawn skin before a plain camera.
+LOOKS = (
+    "",
+    "skin=even",
+    *(f"skin={skin}:camera=video" for skin in ("freckled", "bearded", "made-up", "oily")),
+    *(f"skin={skin}:light=moving:camera=video" for skin in ("freckled", "oily")),
+    "skin=freckled:light=changing:camera=video",
+)
+#: What must not be worse in other light or without texture.
+HELD = ("active_share", "lips", "tangential", "surface_p95")
 #: v4 with detected features may be this much worse than with exact ones.
 TOLERANCE = 0.25
 
@@ -55,7 +71,10 @@ class Frames:
 
     def __init__(self, sensor: SyntheticSensor, detector: FeatureDetector | None, folder: Path | None) -> None:
         self.sensor, self.detector = sensor, detector
-        self.folder = None if folder is None else folder / f"features-{sensor.seed}-{sensor.noise}-{len(sensor)}"
+        look = str(sensor.look).replace(":", "-")
+        self.folder = (
+            None if folder is None else folder / f"features-{sensor.seed}-{sensor.noise}-{len(sensor)}{look and '-'}{look}"
+        )
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
 
@@ -85,7 +104,8 @@ def _split(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def run_performer(seed: int, noise: str, options: dict) -> dict:
     """One performer with one depth noise; returns its row: v4 with either kind of features, pixel errors."""
     neutral = options["neutral_frames"]
-    sensor = SyntheticSensor(seed, noise, neutral, options["frames"], repeats=2, feature_noise=0.0)
+    look = parse_performer(":".join(filter(None, (str(seed), noise, options["look"]))))[2]
+    sensor = SyntheticSensor(seed, noise, neutral, options["frames"], repeats=2, feature_noise=0.0, look=look)
     frames, parameters = Frames(sensor, FeatureDetector(), options["cache"]), Parameters().replace(**options["set"])
     scan = [frames[index] for index in range(neutral)]
     runs, actors = {}, {}
@@ -101,7 +121,7 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
         found += pair["detected"].features.valid.any()
         if index >= neutral:
             errors.append(np.where(pair["exact"].features.valid[:, None], _error(pair), np.nan))
-    row = dict(seed=seed, noise=noise, found=found / len(sensor), pixels=pixel_errors(np.array(errors)))
+    row = dict(seed=seed, noise=noise, look=options["look"], found=found / len(sensor), pixels=pixel_errors(np.array(errors)))
     for name, run in runs.items():
         row[name] = {by: collector.finish().summary("v4", REPEAT) for by, collector in run.collectors.items()}
     return row
@@ -183,6 +203,26 @@ def report(rows: list[dict], skin: bool) -> tuple[str, bool]:
     return "\n".join(lines), holds
 
 
+def report_looks(rows: list[dict]) -> str:
+    """A table with a row for each look, the mean over its performers, without and with dense skin; and what got worse."""
+    means = {}
+    for look in dict.fromkeys(row["look"] for row in rows):
+        here = [row for row in rows if row["look"] == look]
+        pairs = [[(r["without"][PLACEMENTS[0]][f], r["with"][PLACEMENTS[0]][f]) for f in SKIN_FIGURES] for r in here]
+        means[look] = dict(zip(SKIN_FIGURES, np.mean(pairs, axis=0), strict=True))
+    heads = "".join(f"{name:>23}" for name in SKIN_FIGURES)
+    lines = ["", f"v4, without / with, mean of the performers; head placed by {PLACEMENTS[0]}", f"{'look':<44}" + heads]
+    lines += [f"{look or 'skin=drawn':<44}" + _cells(pairs.values()) for look, pairs in means.items()]
+    for look, pairs in means.items():
+        steady = means.get(":".join(part for part in look.split(":") if not part.startswith("light=")))
+        if "light=" in look and steady is not None:
+            against = ", ".join(f"{name} {pairs[name][1] / steady[name][1] - 1:+.0%}" for name in HELD)
+            lines.append(f"{look}, against steady light: {against}")
+        if "skin=even" in look:
+            lines.append(f"{look}, against without: " + ", ".join(f"{n} {pairs[n][1] / pairs[n][0] - 1:+.1%}" for n in HELD))
+    return "\n".join(lines)
+
+
 def _cells(pairs) -> str:
     return "".join(f"{a:>8.3f} /{b:>6.3f} {b / a - 1:>+6.0%}" for a, b in pairs)
 
@@ -190,10 +230,19 @@ def _cells(pairs) -> str:
 def main(arguments: list[str] | None = None) -> int:
     parser = run_parser(__doc__, REPORTING_SEEDS, ["truedepth"], stride=2, cache="depth and features of every frame")
     parser.add_argument("--skin", action="store_true", help="compare detected features without and with dense skin")
+    parser.add_argument("--looks", nargs="*", metavar="LOOK", help="with --skin: looks of the performers; without names all")
     args = parser.parse_args(arguments)
-    rows = run_performers(args, run_performer)
-    text, holds = report(rows, args.skin)
-    print(text)
+    if args.looks is not None and not args.skin:
+        parser.error("--looks compares dense skin: add --skin")
+    rows, holds = [], True
+    for look in [""] if args.looks is None else args.looks or LOOKS:
+        args.look = look
+        found = run_performers(args, run_performer)
+        text, kept = report(found, args.skin)
+        print(f"{look}\n{text}\n" if look else text, flush=True)
+        rows, holds = rows + found, holds and kept
+    if args.looks is not None:
+        print(report_looks(rows))
     write_json(args, rows)
     return 0 if holds else 1
 
