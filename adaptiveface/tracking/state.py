@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from .colour_clock import ColourClock
 from .kalman import FilterState
 
 
@@ -27,6 +28,8 @@ class TrackerState:
         Displacement v2 - v1 of the frontal vertices, from which the next frame's solve starts, mm.
     filter : FilterState or None
         What the Kalman filter knows; None before its first frame.
+    clock : ColourClock
+        Whether the pictures are in time; kept by trackers with a colour term.
     """
 
     pose: np.ndarray | None
@@ -35,3 +38,4 @@ class TrackerState:
     v4: np.ndarray
     deformation: np.ndarray
     filter: FilterState | None = None
+    clock: ColourClock = field(default_factory=ColourClock)

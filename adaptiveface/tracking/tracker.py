@@ -15,6 +15,7 @@ from ..registration.association import Correspondences, find_correspondences
 from ..registration.surface import DepthSurface, crop_window, depth_surface, occluded_share
 from .adaptive_pca import Parts
 from .base import Tracker, differ, timed
+from .colour_clock import ColourClock
 from .dense_skin import DenseSkin
 from .detection import pose_from_features
 from .feature_confidence import weigh_features
@@ -147,7 +148,7 @@ class FaceTracker(Tracker):
             matches, occluded = self._match_depth(surface, pose, v1, normals)
             coverage = matches.count / max(int(self._may_match.sum()), 1)
         with timed(ms, "skin"):  # what the colours tell about motion within the surface
-            colours = self._colour_rows(frame, pose, v1, matches)
+            colours, clock = self._colour_rows(frame, pose, v1, matches)
         with timed(ms, "laplacian"):
             deformation = self._deform(frame, pose, v1, matches, colours)
             v2 = self.region.displaced(v1, deformation)
@@ -157,13 +158,13 @@ class FaceTracker(Tracker):
             v4 = self._deform_to_features(frame, pose, v3)
         with timed(ms, "adaptive_pca"):  # section 5
             anchor, adaptive = parts.distances()  # figure 11: before the frame is learned from
-            state = self._learn(parts, coverage, occluded)
+            state = self._learn(parts, coverage, occluded, clock.late)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
         with timed(ms, "adaptive_pca"):
             self._learn_expressions(state, coefficients, v2, coverage)
 
-        self.state = TrackerState(pose, x, v1, v4, deformation, self.state.filter)
+        self.state = TrackerState(pose, x, v1, v4, deformation, self.state.filter, clock)
         return TrackedFrame(
             frame.index,
             frame.timestamp,
@@ -254,12 +255,20 @@ class FaceTracker(Tracker):
         occluded = occluded_share(surface, matches.points[some], normals[some] @ pose[:3, :3].T, p.max_correspondence_distance)
         return matches, occluded
 
-    def _colour_rows(self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences) -> SkinTerm | None:
-        """The colours' rows about the last frame's displacement; None where no colour tells anything."""
-        if self.skin is None:
-            return None
-        vertices = v1.take(self.region.vertices, axis=0)
-        return self.skin.term(frame, pose, vertices, self.state.deformation, matches.weights > 0)
+    def _colour_rows(
+        self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences
+    ) -> tuple[SkinTerm | None, ColourClock]:
+        """The colours' rows about the last frame's displacement, None where no colour tells anything; are pictures in time?"""
+        last, clock = self.state, self.state.clock
+        if self.skin is None or frame.colour is None:
+            return None, clock
+        vertices, clock = v1.take(self.region.vertices, axis=0), clock.after(frame)
+        term = self.skin.term(frame, pose, vertices, last.deformation, matches.weights > 0)
+        if term is not None and last.pose is not None:
+            middle = self.region.neutral.mean(axis=0, keepdims=True)
+            motion = transform_points(pose, middle)[0] - transform_points(last.pose, middle)[0]
+            clock = clock.seen(term, pose[:3, :3], motion)
+        return None if clock.late else term, clock
 
     def _deform(
         self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences, colours: SkinTerm | None
@@ -278,10 +287,13 @@ class FaceTracker(Tracker):
             return self.deformation.deform_to_points(depth_offsets(matches, pose, start), term)
         return self.deformation.deform(matches, planes, term, start, p.cg_iterations)
 
-    def _learn(self, parts: Parts, coverage: float, occluded: float) -> SampleState:
-        """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it."""
+    def _learn(self, parts: Parts, coverage: float, occluded: float, late: bool) -> SampleState:
+        """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it.
+
+        ``late``: colours, and the features found in them, are of another moment than the depth.
+        """
         p = self.parameters.adaptive_pca
-        if coverage < p.min_coverage or occluded > p.max_occluded:
+        if coverage < p.min_coverage or occluded > p.max_occluded or late:
             return SampleState.HIDDEN
         return self.model.learn(parts) if p.learn else self.model.classify(parts)
 

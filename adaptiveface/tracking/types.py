@@ -14,7 +14,8 @@ from ..renamed import renamed
 class SampleState(IntEnum):
     """What became of a frame as a training sample (section 5); the values are those of ``result.npz``.
 
-    HIDDEN: too little of the face has depth, or too much of it is behind something, whatever the sample looks like.
+    HIDDEN: too little of the face has depth, too much of it is behind something, or its picture is of another moment than its
+    depth (:mod:`.colour_clock`), whatever the sample looks like.
     """
 
     UNTRACKED = 0
