@@ -91,6 +91,7 @@ def test_a_doubtful_neutral_is_said_plainly(session):
 def test_a_take_of_one_frame_has_a_workbench(tmp_path, count):
     actor = talking_head(tmp_path / "take", frames=count)
     take = views.load_session(tmp_path / "take", actor=actor)
+    assert views.Measures(take).top(2) == 5, "distances from a depth map, its noise included"
     bench = views.StageExplorer(
         take, ["laplacian.w2"], {"v4": views.Measures(take).stage("v4")}, [views.error_chart(take, views.Measures(take))]
     )

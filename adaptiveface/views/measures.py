@@ -16,6 +16,9 @@ from .session import Session
 #: (vertices (N, 3) in the head frame, heat (N,) or None) of one tracked frame.
 Pane = Callable[[TrackedFrame, RgbdFrame], tuple[np.ndarray, np.ndarray | None]]
 
+#: Height of the chart of errors, mm or px, where they hold the sensor's noise.
+WITHOUT_TRUTH = 5.0
+
 
 def depth_distance(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
     """(n,) distance, mm, of camera-frame points (n, 3) from the depth on their viewing ray; NaN where none."""
@@ -46,6 +49,10 @@ class Measures:
             self.label, self.curve, self.unit = "", "distance from the 2D features, px", "px"
         if self.has_truth:
             self._alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
+
+    def top(self, known: float) -> float:
+        """Upper end of a chart of mean errors that needs ``known`` mm against the truth: without it, more."""
+        return known if self.has_truth else max(known, WITHOUT_TRUTH)
 
     def error(self, result: TrackedFrame, frame: RgbdFrame, stage: str = "v4") -> np.ndarray:
         """(N,) error of a stage's mesh, mm; NaN outside the frontal region, where unknown, and where the head is lost."""

@@ -34,8 +34,6 @@ ASIDES_PER_SECOND = 12.0
 #: While it learns, so many frames at most from one picture to the next.
 LEARNING_STEP = 2
 
-#: Height of the chart of errors, mm or px, where they hold the sensor's noise.
-WITHOUT_TRUTH = 5.0
 
 #: A chart and the function that gives its lines: replay -> name -> values per frame.
 ChartSource = Callable[[Replay], dict[str, np.ndarray]]
@@ -283,9 +281,8 @@ class SeriesCache:
 
 def error_chart(session: Session, measures: Measures, stages: Sequence[str] = ("v1", "v2", "v4"), top: float = 3.0):
     """The chart "mean error of each stage over the performance" and its source; ``top`` mm, or more without the truth."""
-    top = top if measures.has_truth else max(top, WITHOUT_TRUTH)
     title = f"mean error, {measures.unit}"
-    chart = LiveChart(stages, (0, len(session.frames) - 1), (0, top), "frame", title, measures.curve)
+    chart = LiveChart(stages, (0, len(session.frames) - 1), (0, measures.top(top)), "frame", title, measures.curve)
     return chart, SeriesCache(lambda result, frame, stage: measures.mean_error(result, frame, stage), stages)
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from adaptiveface.lab import PAGE
+from adaptiveface.lab import PAGE, SETTINGS
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
@@ -63,9 +63,11 @@ def jupyter_lab(folder: Path, notebooks=(), **environment):
         port = probe.getsockname()[1]
     folders = ("JUPYTER_CONFIG_DIR", "JUPYTER_RUNTIME_DIR", "IPYTHONDIR", "JUPYTERLAB_WORKSPACES_DIR")
     private = {name: str(folder / ".jupyter" / name) for name in (*folders, "JUPYTERLAB_SETTINGS_DIR")}
-    no_build = Path(private["JUPYTER_CONFIG_DIR"]) / "labconfig" / "page_config.json"
-    no_build.parent.mkdir(parents=True, exist_ok=True)
-    no_build.write_text(json.dumps(PAGE))  # no dialog in front of the notebook
+    quiet = Path(private["JUPYTER_CONFIG_DIR"]) / "labconfig"  # no dialog in front of the notebook, and no question about news
+    quiet.mkdir(parents=True, exist_ok=True)
+    news = "@jupyterlab/apputils-extension:notification"
+    for name, content in (("page_config", PAGE), ("default_setting_overrides", {news: SETTINGS[news]})):
+        (quiet / f"{name}.json").write_text(json.dumps(content))
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "ADAPTIVEFACE_STRICT")} | private | environment
     arguments = [
         "--no-browser",

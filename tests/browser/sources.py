@@ -62,7 +62,7 @@ def errors(page) -> list[str]:
 def photograph(page, folder: Path, name: str) -> None:
     """Every output that shows something, as ``NUMBER_OUTPUT.png``."""
     folder.mkdir(parents=True, exist_ok=True)
-    for k, shown in enumerate(page.locator(_SHOWN).all()):
+    for k, shown in enumerate(one for one in page.locator(_SHOWN).all() if one.is_visible()):
         shown.scroll_into_view_if_needed()
         page.wait_for_timeout(500)
         shown.screenshot(path=folder / f"{name.partition('_')[0]}_{k}.png")
