@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 
 from ..errors import AdaptiveFaceError, MissingExtraError
 
-#: How often a cluster is sent the shared values when every worker that held them was lost.
+#: How many times the shared values are sent again to a cluster that has lost every worker that held them.
 SCATTERED = 3
 Item = TypeVar("Item")
 
@@ -31,13 +31,14 @@ def completed(
     function : callable
         A function of a module, so that other processes can import it.
     items : sequence
-        What the calls differ in.
+        One call is made for each of them.
     client : dask.distributed.Client, optional
-        The cluster that does the calls. Workers that are lost are replaced by others there.
+        The cluster that makes the calls. It replaces lost workers itself.
     processes : int
-        Without a client: how many processes work at a time, each new for its item. 0 calls in this process.
+        Without a client: the number of processes that work at the same time. Each item gets a new process. With 0, the
+        calls are made in this process.
     shared : sequence
-        What all calls have in common; it is sent to each worker of a cluster once.
+        Leading arguments of every call. They are sent to each worker of a cluster only once.
 
     Yields
     ------
@@ -57,7 +58,7 @@ def completed(
 def _attempt(function, *arguments):
     try:
         return function(*arguments)
-    except Exception as error:  # noqa: BLE001 - an answer like another: the caller decides
+    except Exception as error:  # noqa: BLE001 - the caller decides what an error means
         return error
 
 
@@ -132,7 +133,7 @@ def _worker(function, arguments, answer: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """Ends the process when the one that started it is gone: a batch that was killed leaves no workers behind."""
+    """End this process once its parent is gone, so that a killed batch leaves no workers behind."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -140,13 +141,18 @@ def _end_with_parent() -> None:
 
 
 def dask_client(address: str | None = None, workers: int = 2):
-    """A ``dask.distributed.Client``; end it with ``client.close()``.
+    """Connect to a Dask cluster, or start one; end it with ``client.close()``.
 
     Parameters
     ----------
     address : str, optional
-        That of a scheduler elsewhere, ``tcp://host:8786``. None starts ``workers`` processes of its own on this machine,
-        which listen on loopback only.
+        Address of a running scheduler, such as ``tcp://host:8786``. With None, a cluster of ``workers`` processes is
+        started on this machine. It listens on loopback only.
+
+    Returns
+    -------
+    dask.distributed.Client
+        The connection.
 
     Raises
     ------
@@ -164,5 +170,5 @@ def dask_client(address: str | None = None, workers: int = 2):
             return Client(address, timeout=10)
         except (OSError, ValueError) as error:
             raise AdaptiveFaceError(f"no Dask scheduler answers at {address}: {error}") from None
-    # Workers that are slow to end are ended; a warning about it would stand below the results.
+    # Workers that end too slowly are killed. A warning about that would be printed below the results.
     return Client(n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR)

@@ -1,7 +1,7 @@
 """Read the command line (``adaptiveface demo | capture | track | live | ...``) and call what it asks for.
 
-Every command is a few calls of the package. An error that the user can act on is one line on stderr with exit status
-2. Ctrl-C saves what was done and exits with 130; SIGTERM does the same and exits with 143.
+Every command makes a few calls of the package. An error that the user can act on is a single line on stderr, and the exit
+status is 2. Ctrl-C saves what was done, and the exit status is 130. SIGTERM does the same with status 143.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with orderly_end():
             status = _run(argv)
-    except KeyboardInterrupt as interruption:  # a second one, while the first was dealt with
+    except KeyboardInterrupt as interruption:  # a second Ctrl-C, while the first was handled
         status = _interrupted(interruption)
     if argv is None:
         end_process(status)
@@ -60,7 +60,7 @@ def _run(argv: list[str] | None) -> int:
         return _fail(str(error))
     except ImportError as error:
         return _fail(f"{error} ({SYSTEM_LIBRARIES_HINT})")
-    except BrokenPipeError:  # as `| head -1` leaves it
+    except BrokenPipeError:  # the reader is gone, as after `| head -1`
         return EXIT_PIPE
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""

@@ -1,4 +1,4 @@
-"""Arguments that several commands share, and their checks."""
+"""Add and check the arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from .texts import TEXTS
 
 
 def add_command(commands, name: str) -> argparse.ArgumentParser:
-    """The parser of a command, with its :data:`~adaptiveface.cli.texts.TEXTS`."""
+    """Add the parser of a command, with its :data:`~adaptiveface.cli.texts.TEXTS`."""
     what, more, example = TEXTS[name]
     text = f"{what[0].upper()}{what[1:]}. {more}"
     return commands.add_parser(name, help=what, description=text, epilog=f"Example: {example}" if example else None)
 
 
 def add_source(command: argparse.ArgumentParser) -> None:
-    """``SOURCE``, numbered frames."""
+    """``SOURCE``, which has numbered frames, and how to see its pictures."""
     text = "folder of a recording, a video (colour only), or synthetic[:SEED[:NOISE]][@take.csv]"
     command.add_argument("source", metavar="SOURCE", help=text)
     add_field_of_view(command)

@@ -87,7 +87,7 @@ def run_demo(args: argparse.Namespace) -> int:
 
 
 def _check_demo(args: argparse.Namespace) -> None:
-    """Raise now what would otherwise end the demo after the tracking."""
+    """Check the outputs first, so that an error does not end the demo after the tracking."""
     inputs = [args.character]
     check_folder(args.out)
     outputs = {"actor.npz": "actor", "result.npz": "result", "report.html": "html"}
@@ -163,7 +163,7 @@ def run_track(args: argparse.Namespace) -> int:
     still_frames = 0
 
     def on_take(take) -> None:
-        """Remember how many leading frames are still: the report measures the jitter there."""
+        """Remember how many leading frames are neutral: the report measures the jitter in them."""
         nonlocal still_frames
         still_frames = len(take.frames) if take.leading else 0
 

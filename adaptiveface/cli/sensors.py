@@ -1,4 +1,4 @@
-"""Commands for sensors and for recordings that are played: ``record``, ``convert``, ``stream``, ``live``."""
+"""Commands for sensors, and for recordings that are played back: ``record``, ``convert``, ``stream``, ``live``."""
 
 from __future__ import annotations
 

@@ -7,9 +7,9 @@ import sys
 
 
 def speak() -> None:
-    """Write characters that the output's encoding lacks as escapes, so that no message ends a job: ``\\\\u30c6``.
+    """Escape characters that the output's encoding lacks (``\\\\u30c6``), so that no message can end a job.
 
-    For everything that writes there: print, progress bars, warnings, logging, and Python's own messages.
+    This applies to everything that is written there: print, progress bars, warnings, logging, and Python's own messages.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # None where there is no console

@@ -10,7 +10,7 @@ from ..export.arguments import FORMATS, add_actor
 from ..files import check_folder, check_output
 from .arguments import add_command, add_performer, add_settings, parameters, whole
 
-#: The same as ``studies.FIGURES``, which would take long to import for the help.
+#: The keys of ``studies.FIGURES``, whose import would make the help slow.
 PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
 
 
@@ -64,7 +64,7 @@ def run_batch(args: argparse.Namespace) -> int:
         check_output(args.out / "index.html", "html")
     actor = None
     if args.actor:
-        Actor.load(args.actor)  # a damaged rig ends here, and not in every recording
+        Actor.load(args.actor)  # a damaged rig is an error here, not in every recording
         actor = str(args.actor.resolve())
     jobs = expand(
         find_sources(args.sources),

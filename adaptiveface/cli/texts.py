@@ -1,8 +1,8 @@
-"""What each command says about itself in the help."""
+"""Hold what the help says about each command."""
 
 from __future__ import annotations
 
-#: Command -> what it does, in the list of commands and on its own page; more about that for its own page; an example, or "".
+#: Command -> a phrase for the list of commands and for its own page, sentences for its own page, and an example or "".
 TEXTS: dict[str, tuple[str, str, str]] = {
     "demo": (
         "run the whole pipeline on a synthetic performer and write a report",
@@ -46,7 +46,7 @@ TEXTS: dict[str, tuple[str, str, str]] = {
     ),
     "batch": (
         "capture, track and score many recordings",
-        "Started again with the same options, it goes on where it was stopped.",
+        "If it is started again with the same options, it continues where it was stopped.",
         "adaptiveface batch my-takes --out results --sweep laplacian.w2=0.5,1.5,5",
     ),
     "evaluate": (
@@ -75,7 +75,7 @@ TEXTS: dict[str, tuple[str, str, str]] = {
         "",
     ),
     "doctor": (
-        "check the installation and say how to mend it",
+        "check the installation and say how to repair it",
         "The exit status is 0 when everything that is needed works.",
         "",
     ),

@@ -1,4 +1,4 @@
-"""What every exporter writes: a mesh with named morph targets, their weights and the head's motion over time."""
+"""Define what every exporter writes: a mesh with named morph targets, their weights and the head's motion over time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .components import Meshes, frame_blocks, principal_targets
 
 #: Metres in a millimetre. glTF, USD and the streams use metres.
 METRES = 1e-3
-#: sRGB colour of the skin of a mesh that has no colours of its own.
+#: Skin colour (sRGB) of a mesh without colours.
 SKIN = (204, 168, 149)
 #: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
 CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])
@@ -29,10 +29,26 @@ CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])
 class AnimatedMesh:
     """F frames of a mesh with V vertices and E morph targets.
 
-    neutral (V, 3) mm, head frame; triangles (T, 3); target_names (E,); targets (E, V, 3) mm, displacements at weight 1;
-    weights (F, E); timestamps (F,) s, strictly increasing from 0; head_pose (F, 4, 4) head to view frame, mm: x right, y
-    up, z towards the viewer; colours (V, 3) uint8 sRGB or None; inside: parts that share the head's motion and have
-    targets and weights of their own, or None.
+    Attributes
+    ----------
+    neutral : (V, 3)
+        Head frame, mm.
+    triangles : (T, 3)
+        Vertex numbers.
+    target_names : (E,)
+        Names of the morph targets.
+    targets : (E, V, 3)
+        Displacements at weight 1, mm.
+    weights : (F, E)
+        Of the targets in every frame.
+    timestamps : (F,)
+        Strictly increasing from 0, s.
+    head_pose : (F, 4, 4)
+        Head frame to view frame (x right, y up, z towards the viewer), mm.
+    colours : (V, 3) uint8 or None
+        sRGB.
+    inside : AnimatedMesh or None
+        Parts inside the head. They share its motion, and have their own targets and weights.
     """
 
     name: str
@@ -51,7 +67,7 @@ class AnimatedMesh:
 
     @property
     def description(self) -> str:
-        """Name, size, length and number of shapes, for people."""
+        """Name, size, length and number of shapes in words."""
         return f"{self.name}, {size_text(self.neutral)}, {len(self)} frames, {len(self.target_names)} shapes"
 
     @property
@@ -60,44 +76,44 @@ class AnimatedMesh:
         return frame_rate(self.timestamps)
 
     def shape(self, frame: int, posed: bool = False) -> np.ndarray:
-        """(V, 3) mm in the head frame, or with the head's motion in the view frame."""
+        """(V, 3) mm in the head frame or, with the head's motion, in the view frame."""
         flat = self.targets.reshape(len(self.targets), self.neutral.size)
         vertices = self.neutral + (self.weights[frame] @ flat).reshape(-1, 3)
         return transform_points(self.head_pose[frame], vertices) if posed else vertices
 
     @property
     def whole_triangles(self) -> np.ndarray:
-        """(T + T', 3): with those of the inside parts, whose vertices follow those of the skin."""
+        """(T + T', 3) triangles of the skin and of the inside parts, whose vertices follow those of the skin."""
         if self.inside is None:
             return self.triangles
         return np.concatenate([self.triangles, self.inside.triangles + len(self.neutral)])
 
     @property
     def whole_colours(self) -> np.ndarray | None:
-        """(V + V', 3) uint8 sRGB with those of the inside parts, or None where nothing has colours."""
+        """(V + V', 3) uint8 sRGB of the skin and of the inside parts; None if neither has colours."""
         if self.inside is None:
             return self.colours
         skin = np.tile(np.array(SKIN, np.uint8), (len(self.neutral), 1)) if self.colours is None else self.colours
         return np.concatenate([skin, self.inside.colours])
 
     def whole_shape(self, frame: int) -> np.ndarray:
-        """(V + V', 3) mm in the view frame: the skin, and behind it the inside parts."""
+        """(V + V', 3) mm in the view frame: the vertices of the skin, then those of the inside parts."""
         skin = self.shape(frame, posed=True)
         return skin if self.inside is None else np.concatenate([skin, self.inside.shape(frame, posed=True)])
 
     @property
     def codes(self) -> np.ndarray:
-        """(F,) times in frames at :attr:`fps`: whole numbers where the times lie on the rate."""
+        """(F,) times in frames at :attr:`fps`. They are whole numbers if the times fit the rate."""
         return time_codes(self.timestamps, self.fps)
 
     @property
     def centre(self) -> np.ndarray:
-        """(3,) mm: the median place of the head in the view frame, which files put at the origin."""
+        """(3,) median position of the head in the view frame, mm, which files put at the origin."""
         return np.median(self.head_pose[:, :3, 3], axis=0)
 
 
 def linear_colours(colours: np.ndarray) -> np.ndarray:
-    """Linear light (..., 3), 0 to 1, of sRGB (..., 3), 0 to 255."""
+    """Convert sRGB (..., 3), 0 to 255, to linear light (..., 3), 0 to 1."""
     colours = np.asarray(colours, float)
     return np.where(colours <= 10, colours / 3294.6, ((colours / 255 + 0.055) / 1.055) ** 2.4)
 
@@ -115,17 +131,16 @@ def size_text(vertices: np.ndarray) -> str:
 
 
 def view_motion(head_pose: np.ndarray) -> np.ndarray:
-    """(F, 4, 4) head to view frame of poses (F, 4, 4) head to camera."""
+    """Convert poses (F, 4, 4) from head-to-camera to head-to-view."""
     out = np.array(head_pose, float)
     out[:, :3] = CAMERA_TO_VIEW @ out[:, :3]
     return out
 
 
 def character_animation(character: Character, performance: Performance) -> AnimatedMesh:
-    """Animate a character. Shapes that nothing drives stay in the file with weight 0.
+    """Animate a character. Shapes that nothing drives are kept, with weight 0.
 
-    A head that is not at the origin of its file (an avatar's head is on top of its body) is moved there, because it turns
-    about the origin.
+    The head turns about the origin. It is therefore moved there if its file has it elsewhere, as on top of an avatar's body.
     """
     low, high = character.neutral.min(axis=0), character.neutral.max(axis=0)
     outside = ((low > 0) | (high < 0)).any()
@@ -146,11 +161,11 @@ def character_animation(character: Character, performance: Performance) -> Anima
 def actor_animation(result: Result, actor: Actor | None = None, tolerance: float = 0.045) -> AnimatedMesh:
     """Animate the actor's own mesh so that every vertex of every frame is within ``tolerance`` mm of v4.
 
-    With the actor's rig the targets are its blendshapes (weights: the re-solved coefficients), the learned correctives,
-    and what these cannot hold: principal components of the residual, as many as the tolerance asks for (v4 contains the
-    final deformation, which follows the 2D features and lies in no basis). Without the rig: the mean of all frames and
-    principal components alone. All weights are in [0, 1] (:func:`in_slider_range`). Raises :class:`FileFormatError`
-    when actor and result do not belong together.
+    With the actor's rig, the targets are its blendshapes (weighted by the re-solved coefficients), the learned correctives,
+    and as many principal components of the residual as the tolerance requires. There is a residual because v4 contains the
+    final deformation, which follows the 2D features and lies in no basis. Without the rig, the mesh is the mean of all
+    frames, and the targets are principal components. All weights are in [0, 1] (:func:`in_slider_range`). Raises
+    :class:`FileFormatError` when actor and result do not belong together.
     """
     size = result.vertices.shape[1]
     names, targets, weights = [], np.zeros((0, size, 3)), np.zeros((len(result), 0))
@@ -180,9 +195,9 @@ def actor_animation(result: Result, actor: Actor | None = None, tolerance: float
 
 
 def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray | Meshes, tolerance: float = 0.2) -> AnimatedMesh:
-    """The mesh with displacements added as further morph targets, within ``tolerance`` mm.
+    """Add displacements to a mesh as further morph targets, within ``tolerance`` mm.
 
-    ``displacements``: (F, V, 3) mm, or a function that gives those of the frames it is asked for.
+    ``displacements`` is an array (F, V, 3), mm, or a function that returns those of given frames.
     """
     meshes = displacements if callable(displacements) else displacements.__getitem__
     shape, amount = principal_targets(meshes, len(mesh), tolerance)
@@ -197,11 +212,11 @@ def with_correctives(mesh: AnimatedMesh, displacements: np.ndarray | Meshes, tol
 
 
 def in_slider_range(mesh: AnimatedMesh) -> AnimatedMesh:
-    """The same motion with weights in [0, 1], where the sliders of Blender and USD end.
+    """The same motion with weights in [0, 1], the range of the sliders of Blender and USD.
 
-    A target whose weights run from a < 0 to b is scaled by b - a and its weights are moved by a; what that adds to every
-    frame is taken back by one further target, "offset", at the weight 1. The neutral stays what it is, and linear
-    interpolation between keys, too.
+    A target whose weights run from a < 0 to b is scaled by b - a, and its weights are shifted by a. One further target,
+    "offset", with weight 1, compensates for what that adds to every frame. Neither the neutral nor the linear interpolation
+    between keys changes.
     """
     low = np.minimum(mesh.weights.min(axis=0, initial=0.0), 0.0)
     span = np.maximum(mesh.weights.max(axis=0, initial=0.0) - low, 1.0)
@@ -222,12 +237,12 @@ def _rig(result: Result, actor: Actor):
     rows = [actor.expression_names.index(n) for n in result.expression_names if n in actor.expression_names]
     if len(rows) != len(result.expression_names):
         raise FileFormatError("result.npz has expressions that actor.npz lacks: they do not belong together")
-    coefficients = np.clip(result.coefficients.astype(float), 0.0, 1.0)  # what lies outside is left to the residual
+    coefficients = np.clip(result.coefficients.astype(float), 0.0, 1.0)  # the residual takes what lies outside
     return list(result.expression_names), actor.neutral, actor.blendshapes[rows], coefficients
 
 
 def _without(result: Result, neutral: np.ndarray, targets: np.ndarray, weights: np.ndarray) -> Meshes:
-    """What the targets leave of the final meshes in the head frame."""
+    """The part of the final meshes, in the head frame, that the targets leave over."""
     flat = targets.reshape(len(targets), neutral.size)
 
     def rest(frames: np.ndarray) -> np.ndarray:

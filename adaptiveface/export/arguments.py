@@ -1,4 +1,4 @@
-"""Options of ``adaptiveface export`` and ``stream``, in a module of their own so that the command line starts fast."""
+"""Declare the options of ``export`` and ``stream``, apart from the exporters, so that the command line starts fast."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
 
 
 def _add_film(command: argparse.ArgumentParser) -> None:
-    """Options of films: what stands beside the mesh, and how it is seen."""
+    """Options of films: what is shown beside the mesh, and from where."""
     command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
     add_field_of_view(command)
     command.add_argument(
@@ -91,12 +91,12 @@ def _add_film(command: argparse.ArgumentParser) -> None:
 
 
 def add_actor(command: argparse.ArgumentParser, default: str) -> None:
-    """``--actor``; ``default`` says what is taken without it."""
+    """``--actor``; ``default`` says what is used without it."""
     command.add_argument("--actor", type=Path, metavar="actor.npz", help=f"the person's rig (default: {default})")
 
 
 def add_field_of_view(command: argparse.ArgumentParser) -> None:
-    """``--fov``, of a video."""
+    """``--fov``, the field of view of a video."""
     command.add_argument(
         "--fov",
         type=degrees,

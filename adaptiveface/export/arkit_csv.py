@@ -18,7 +18,7 @@ __all__ = ["HEADER", "eye_angles", "head_angles", "read_arkit_csv", "take_perfor
 
 
 def head_angles(rigid: np.ndarray) -> np.ndarray:
-    """(F, 3) yaw, pitch, roll in radians of poses (F, 4, 4) head to camera; zero when the head faces the camera.
+    """(F, 3) yaw, pitch and roll, radians, of poses (F, 4, 4) head to camera; zero if the head faces the camera.
 
     Yaw is positive to the subject's right, pitch downwards, roll towards the subject's left shoulder.
     """
@@ -35,7 +35,7 @@ def write_arkit_csv(path: str | os.PathLike, performance: Performance) -> None:
 
 
 def read_arkit_csv(path: str | os.PathLike) -> Performance:
-    """Read a file of :func:`write_arkit_csv` or Live Link Face; poses hold the head's rotation, at the origin.
+    """Read a file of :func:`write_arkit_csv` or Live Link Face. Poses hold the head's rotation only, at the origin.
 
     Raises :class:`FileFormatError` naming the file, the line and the reason.
     """

@@ -1,4 +1,4 @@
-"""Let a user's own avatar perform: the file is copied, and an animation is added."""
+"""Let a user's own avatar perform: copy its file, and add an animation."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from ..runtime.timing import increasing
 from .avatar_motion import avatar_motion, local_rotation
 from .gltf_edit import GltfEdit
 
-#: Name of the animation that is added; a number follows where the file has one of that name.
+#: Name of the animation that is added. It gets a number if the file already has one of that name.
 ANIMATION = "performance"
 
 
 class Avatar:
     """A .glb, .gltf or .vrm file that can perform.
 
-    character: its face; without vertices where the meshes stay closed (compressed, and the library that opens them is not
-    installed), which its notes say. Raises :class:`FileFormatError`: malformed, nothing that a curve could drive.
+    ``character`` is its face. It has no vertices, and its notes say why, if the meshes are compressed and the library that
+    opens them is not installed. Raises :class:`FileFormatError` for a malformed file, or one in which curves can drive nothing.
     """
 
     def __init__(self, path: str | Path, unit: float | None = None) -> None:
@@ -58,7 +58,7 @@ class Avatar:
         )
 
     def write(self, out: Path, performance: Performance) -> list[str]:
-        """Write the file with the performance added, whole or not at all. Returns notes on what stays still, and why.
+        """Write the file with the performance added, whole or not at all. Returns notes about what does not move, and why.
 
         ``out`` ends in .glb, .gltf or, for a VRM file, .vrm. Raises :class:`ParameterError` for other names and for the
         avatar's own file, :class:`AdaptiveFaceError` where it cannot be written.
@@ -86,7 +86,7 @@ class Avatar:
         return self.rig.target_weights(self.nodes.entries[node]["mesh"], activations, rest)
 
     def _movable(self, entry: dict, node: int) -> None:
-        """A node that moves may not have a matrix (glTF 3.11): the same as translation, rotation and scale."""
+        """Split a node's matrix into translation, rotation and scale: a node that moves may not have a matrix (glTF 3.11)."""
         if entry.pop("matrix", None) is None:
             return
         from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""How far the eyes of an avatar turn for a gaze: as VRM's look-at says, or else as far as a person's."""
+"""Compute how far an avatar's eyes turn for a gaze: as VRM's look-at says, or else as far as a person's."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from ..errors import FileFormatError
 from ..livelink.convention import angles, rotations
 from ..retargeting.gltf_container import GltfContainer, extensions
 
-#: The gaze's directions for each eye: yaw to the subject's left and right, pitch down and up.
+#: Directions of gaze for each eye: yaw to the subject's left and right, pitch down and up.
 _OUTER, _INNER, _DOWN, _UP = "HorizontalOuter", "HorizontalInner", "VerticalDown", "VerticalUp"
 _MOST_DEGREES = 180.0
 
 
 def gaze_by_expressions(file: GltfContainer) -> bool:
-    """Whether a VRM file looks by expressions (lookUp, lookLeft, ...) and not by its eyes' bones."""
+    """Whether expressions (lookUp, lookLeft, ...) direct the gaze of a VRM file, instead of the eyes' bones."""
     one, zero = _look_at(file)
     return one.get("type") == "expression" or zero.get("lookAtTypeName") == "BlendShape"
 
 
 def reached(file: GltfContainer, gaze: np.ndarray, side: int) -> np.ndarray:
-    """(F, 3, 3) what a VRM file's range maps make of eye rotations (F, 3, 3) in the face's axes; side 0: the left eye."""
+    """Apply a VRM file's range maps to eye rotations (F, 3, 3) in the face's axes; ``side`` 0 is the left eye."""
     limits = {name: _limit(file, name) for name in (_OUTER, _INNER, _DOWN, _UP)}
     if all(limit is None for limit in limits.values()):
         return gaze
@@ -44,7 +44,7 @@ def _look_at(file: GltfContainer) -> tuple[dict, dict]:
 
 
 def _limit(file: GltfContainer, name: str) -> tuple[float, float] | None:
-    """Degrees of gaze that reach furthest, and the degrees that the eye turns then."""
+    """The largest angle of gaze that the map covers, and the angle by which the eye turns then, degrees."""
     one, zero = _look_at(file)
     entry = one.get(f"rangeMap{name}") or zero.get(f"lookAt{name}")
     if not entry:

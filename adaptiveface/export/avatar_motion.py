@@ -1,8 +1,8 @@
 """Move a user's avatar with a tracked head: its bones or, if it has none, the nodes of the head's meshes.
 
-All rotations are those of the avatar's world. The head's bone takes the tracked rotation whole; the neck's bone turns by a
-share of it, and the head adds the rest. Where there are no bones the nodes that carry the head's meshes turn about
-its middle, and in a scene that shows nothing but a head they also move.
+All rotations are in the avatar's world frame. The neck's bone turns by a share of the tracked rotation, and the head's bone
+adds the rest, so that the head has the whole rotation. Without bones, the nodes that carry the head's meshes turn about its
+middle. In a scene that shows only a head, they also move.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NECK_SHARE = 0.4
 
 @dataclass
 class AvatarMotion:
-    """Tracks of (node, "rotation" or "translation", values (F, 4) or (F, 3)); ``notes``: what stays still, and why."""
+    """Tracks of (node, "rotation" or "translation", values (F, 4) or (F, 3)), and ``notes`` on what does not move."""
 
     tracks: list[tuple[int, str, np.ndarray]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -43,8 +43,8 @@ def avatar_motion(
 ) -> AvatarMotion:
     """The motion of head, neck and eyes.
 
-    face: what the meshes tell, None where they cannot be opened; faces: nodes of the scene with driven morph targets; unit:
-    millimetres per unit of the file.
+    ``face`` is what the meshes tell, or None if they cannot be opened. ``faces`` are the nodes of the scene with driven morph
+    targets. ``unit`` is the number of millimetres per unit of the file.
     """
     facing = np.diag([-1.0, 1.0, -1.0]) if looks_back(file) else np.eye(3)
     view = view_motion(performance.head_pose)
@@ -54,7 +54,7 @@ def avatar_motion(
     motion, rest = AvatarMotion(), _rest_rotations(nodes)
     bones = find_bones(file, nodes)
     if "head" in bones and not any(_carriers(nodes, n) & set(nodes.below(bones["head"])) for n in faces):
-        bones = {}  # a skeleton that the face does not hang on
+        bones = {}  # a skeleton that does not carry the face
     if "head" not in bones and face is not None and not face.alone and face.carrier is not None:
         bones = {"head": face.carrier}
         motion.notes.append(f"no bone is named head: '{nodes.name(face.carrier)}', which carries the face, is turned")
@@ -69,7 +69,7 @@ def avatar_motion(
 
 
 def _rest_rotations(nodes: Nodes) -> list[np.ndarray]:
-    """(3, 3) world rotation of every node at rest, without scale and shear."""
+    """(3, 3) rotation of every node at rest in the world frame, without scale and shear."""
     rest: list = [np.eye(3)] * len(nodes.entries)
     for number in nodes.world:  # parents first
         above = rest[nodes.parent[number]] if number in nodes.parent else np.eye(3)
@@ -85,7 +85,7 @@ def local_rotation(nodes: Nodes, number: int) -> np.ndarray:
         return quaternion_matrix(nodes.rotation(nodes.entries[number]))
     left, _, right = np.linalg.svd(nodes.local[number][:3, :3])
     near = left @ right
-    return near if np.linalg.det(near) > 0 else -near  # a mirrored node: the rest is in its scale
+    return near if np.linalg.det(near) > 0 else -near  # a mirrored node; its scale holds the reflection
 
 
 def _above(nodes: Nodes, rest: list[np.ndarray], number: int) -> np.ndarray:
@@ -104,7 +104,7 @@ def _turn_bones(motion: AvatarMotion, nodes: Nodes, rest: list, bones: dict[str,
 
 
 def _turn_eyes(motion, file, nodes, rest, face: OpenFace | None, bones: dict, gaze: np.ndarray, facing: np.ndarray) -> None:
-    """Turn the eyes' bones, unless morph targets move the same eyes; ``gaze`` (F, 2, 3, 3): left and right eye."""
+    """Turn the eyes' bones by ``gaze`` (F, 2, 3, 3), left and right eye, unless morph targets move the same eyes."""
     eyes = {name: bones[name] for name in ("left eye", "right eye") if name in bones}
     if not eyes or gaze_by_expressions(file):
         return
@@ -149,7 +149,7 @@ def _carriers(nodes: Nodes, number: int) -> set[int]:
 
 
 def _tops(nodes: Nodes, mine: set[int], others: set[int]) -> list[int]:
-    """The highest nodes that have some of ``mine`` and none of ``others`` at or below them."""
+    """The topmost nodes that have some of ``mine``, and none of ``others``, at or below them."""
     counts = np.zeros((len(nodes.entries), 2), int)
     for number in reversed(nodes.shown):  # children before their parents
         counts[number] += [number in mine, number in others]
@@ -172,7 +172,7 @@ def _lowest(nodes: Nodes, number: int, held: np.ndarray, mine: set[int]) -> int:
 
 
 def _middle(file: GltfFile, nodes: Nodes, faces: set[int]) -> np.ndarray:
-    """(3,) the middle of meshes that stay closed, by the bounds that their accessors declare."""
+    """(3,) middle of meshes that are not opened, from the bounds that their accessors declare."""
     corners = []
     for number in faces:
         for primitive in file.item("meshes", nodes.entries[number]["mesh"])["primitives"]:

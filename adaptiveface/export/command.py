@@ -1,4 +1,4 @@
-"""What ``adaptiveface export``, ``stream`` and ``demo --character`` do; the command line only parses their options."""
+"""Do what ``adaptiveface export``, ``stream`` and ``demo --character`` ask for; the command line only parses their options."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .inside_parts import actor_insides, with_insides
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Choices of an export: see ``adaptiveface export --help``."""
+    """The options of an export, as in ``adaptiveface export --help``."""
 
     character: str = "actor"
     coefficients: str = "resolved"
@@ -97,9 +97,9 @@ def run_export(args: argparse.Namespace) -> int:
 def write_avatar(
     out: Path, options: ExportOptions, perform: Callable[[], Performance], covered: Callable[[Character], list[str]]
 ) -> None:
-    """The character's own file with a performance added; prints what ``covered`` says, what stays still, and its size.
+    """Write the character's own file with a performance added. Prints what ``covered`` says, what does not move, and the size.
 
-    ``perform()`` gives the performance, once the character's file is known to be good: it may take seconds.
+    ``perform()`` computes the performance, which may take seconds. It is called once the character's file has been checked.
     """
     from .avatar import Avatar
 
@@ -112,7 +112,7 @@ def write_avatar(
 
 
 def _timed(result: Result, path: Path) -> Result:
-    """The result with timestamps that every format can use. Prints what was repaired."""
+    """The result with timestamps that suit every format. Prints what was repaired."""
     times = clean_times(result.timestamps, str(path))
     for note in times.notes:
         print(note)
@@ -120,7 +120,7 @@ def _timed(result: Result, path: Path) -> Result:
 
 
 def _coefficients(args: argparse.Namespace, actor: Actor | None) -> str:
-    """What drives characters: ARKit's own shapes, unless something else was asked for or the rig is missing."""
+    """The kind of coefficients that drives characters: ARKit's shapes, unless another was asked for or the rig is missing."""
     if args.coefficients == "arkit" and args.correctives:
         raise ParameterError("--coefficients arkit: does not go with --correctives, which carry what the expressions lack")
     automatic = "arkit" if has_units(actor) and not args.correctives else "resolved"
@@ -132,7 +132,7 @@ def _smoothing(args: argparse.Namespace) -> Smoothing | None:
 
 
 def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compact: bool = False, meshopt: bool = False) -> None:
-    """Write any of the mesh formats. The size of large files is printed first. ``unit`` is that of OBJ files and caches."""
+    """Write one of the mesh formats. The size of large files is printed first. ``unit`` applies to OBJ files and caches."""
     if kind == "glb" and meshopt:
         from .meshopt import write_meshopt_glb
 
@@ -225,9 +225,9 @@ def write_performance_video(
     actor: Actor | None = None,
     insides: bool = True,
 ) -> None:
-    """Input (where there is a source), tracked mesh and animated characters side by side; every ``step``-th frame.
+    """Film every ``step``-th frame: the input if there is a source, the tracked mesh and animated characters, side by side.
 
-    ``insides``: the tracked mesh has eyes, teeth and tongue, fitted to ``actor`` where there is one.
+    With ``insides``, the tracked mesh has eyes, teeth and a tongue, which are fitted to ``actor`` if it is given.
     """
     from .video import character_panel, input_panel, tracked_panel, turntable_panel, write_film
 
@@ -246,9 +246,9 @@ def demo_character_files(character: Character) -> dict[str, str]:
 
 
 def write_demo_character(name: str, result: Result, actor: Actor, source, folder: Path) -> list[Path]:
-    """``demo --character``: NAME.glb and NAME.mp4 (half the frames) beside the report.
+    """``demo --character``: write NAME.glb and NAME.mp4 (with half of the frames) beside the report.
 
-    A character that comes from a .glb keeps its own file; any other gets the actor's correctives if they can be carried.
+    A character that comes from a .glb keeps its own file. Others get the actor's correctives if they can be transferred.
     """
     from .gltf import write_glb
 
@@ -270,7 +270,7 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
     from .destinations import addresses, avatar, said
     from .stream import Pace, Streamer
 
-    found, receiver = addresses(args, default_vmc=True), avatar(args)  # what is wrong fails before the capture
+    found, receiver = addresses(args, default_vmc=True), avatar(args)  # errors must be raised before the capture
     with FrameReader(source, remember=not args.actor) as reader:
         if args.actor:
             actor = Actor.load(args.actor)
@@ -291,7 +291,7 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
         pace = Pace()
 
         def on_frame(tracked, frame):
-            """Send it, at the recording's own speed unless asked otherwise."""
+            """Send every frame, at the speed of the recording by default."""
             if not args.fast:
                 pace.wait(tracked.timestamp)
             streamer.send(tracked, frame)

@@ -1,8 +1,8 @@
-"""Morph targets for what nothing else holds: principal components of meshes over time, in memory that does not grow with it.
+"""Compute morph targets for a residual motion: principal components of meshes over time, in bounded memory.
 
-A decomposition of all F frames takes F^2 numbers and F^3 steps. Up to :data:`SAMPLE` frames it is done in this way, which
-gives the fewest components. Of a longer take, as many frames, spread evenly, give the components. Then every frame is
-checked once, and components are added for frames that are farther off than the tolerance.
+Decomposing all F frames takes F^2 numbers and F^3 steps. This is done for up to :data:`SAMPLE` frames, because it gives the
+fewest components. For a longer take, the components are those of :data:`SAMPLE` frames, spread evenly. Every frame is then
+checked once, and components are added for frames whose error exceeds the tolerance.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-#: Frames that are decomposed at once.
+#: How many frames are decomposed at once.
 SAMPLE = 512
 #: Frames that are looked at together in a long take.
 BLOCK = 128
@@ -29,9 +29,9 @@ def frame_blocks(count: int, size: int = BLOCK) -> Iterator[np.ndarray]:
 
 
 def principal_targets(meshes: Meshes, count: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Targets (K, V, 3) and weights (count, K), at most 1, that leave no vertex farther off than ``tolerance`` mm.
+    """Targets (K, V, 3) and weights (count, K), at most 1, that place every vertex within ``tolerance`` mm.
 
-    ``meshes``: displacements of any of the ``count`` frames.
+    ``meshes`` gives the displacements of any of the ``count`` frames.
     """
     chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLE)).round().astype(int))
     sample = meshes(chosen)
@@ -44,7 +44,7 @@ def principal_targets(meshes: Meshes, count: int, tolerance: float) -> tuple[np.
         basis, weights = _extended(basis, meshes, count, tolerance)
     amounts = np.zeros((count, len(basis)))
     done = 0
-    for block in weights:  # components that came later were not needed before
+    for block in weights:  # earlier frames did not need the components that were added later
         amounts[done : done + len(block), : block.shape[1]] = block
         done += len(block)
     scale = np.maximum(np.abs(amounts).max(axis=0, initial=1e-12), 1e-12)
@@ -52,9 +52,9 @@ def principal_targets(meshes: Meshes, count: int, tolerance: float) -> tuple[np.
 
 
 def _extended(basis: np.ndarray, meshes: Meshes, count: int, tolerance: float) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The basis (K, 3V) with what single frames still need, and the weights block by block, each for those known then.
+    """The basis (K, 3V), extended by what single frames still need, and the weights, a block for each state of the basis.
 
-    In single precision, which is 1e-5 mm here and takes half the time.
+    Single precision is exact to 1e-5 mm here, and takes half the time.
     """
     weights, basis = [], basis.astype(np.float32)
     for frames in frame_blocks(count):
@@ -81,7 +81,7 @@ def _fewest(flat: np.ndarray, tolerance: float) -> np.ndarray:
         step = vectors[:, known : known + _STEP]
         before, rest = rest, rest - step @ (step.T @ rest)
         known += step.shape[1]
-        if _farthest(rest).max(initial=0.0) <= tolerance:  # too many by some: the error falls but for small ripples
+        if _farthest(rest).max(initial=0.0) <= tolerance:  # possibly a few too many: the error falls, except for small ripples
             low, high = known - step.shape[1] + 1, known
             while low < high:
                 middle = (low + high) // 2

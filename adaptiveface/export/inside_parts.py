@@ -1,4 +1,4 @@
-"""Eyes, teeth and tongue of a tracked actor as one more animated mesh."""
+"""Export the eyes, teeth and tongue of a tracked actor as a second animated mesh."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOLERANCE = 0.05
 
 
 def actor_insides(result: Result, actor: Actor | None = None) -> Insides | None:
-    """The parts fitted to the actor's neutral, or to the mean of all frames; None where the mesh is of another model."""
+    """The parts, fitted to the actor's neutral or to the mean of all frames; None for the mesh of another model."""
     if actor is not None:
         return make_insides(actor.neutral, actor.triangles)
     mean = sum(meshes.sum(axis=0) for _, meshes in result.head_blocks()) / len(result)
@@ -25,9 +25,9 @@ def actor_insides(result: Result, actor: Actor | None = None) -> Insides | None:
 
 
 def with_insides(mesh: AnimatedMesh, result: Result, actor: Actor | None = None) -> AnimatedMesh:
-    """The actor's animated mesh with :attr:`AnimatedMesh.inside`; as it is where the mesh is of another model.
+    """Add :attr:`AnimatedMesh.inside` to the actor's animated mesh. A mesh of another model is returned unchanged.
 
-    The skin stays what it is. The parts have morph targets of their own, principal components of their motion, within
+    The skin does not change. The morph targets of the parts are principal components of their motion, within
     :data:`TOLERANCE` mm.
     """
     insides = actor_insides(result, actor)

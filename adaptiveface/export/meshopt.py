@@ -1,4 +1,4 @@
-"""Smaller ``.glb`` files: ``EXT_meshopt_compression`` by gltfpack, the tool of the library that defines it."""
+"""Compress ``.glb`` files (``EXT_meshopt_compression``) with gltfpack, the tool of the library that defines the format."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .animation import AnimatedMesh
 from .gltf import write_glb
 
 TOOL, INSTALL = "gltfpack", "npm install --global gltfpack"
-#: Coordinates of 16 bits, normals of 8, keys as they are and where they are, names and extras kept.
+#: Coordinates have 16 bits and normals 8. Keys, names and extras are kept unchanged.
 OPTIONS = ("-cc", "-vp", "16", "-vn", "8", "-at", "16", "-ar", "16", "-af", "0", "-kn", "-km", "-ke")
 #: Seconds that the tool may take.
 PATIENCE = 600.0
@@ -39,7 +39,7 @@ def write_meshopt_glb(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
     MissingExtraError
         gltfpack is not installed.
     AdaptiveFaceError
-        gltfpack fails; the message holds what it said.
+        gltfpack fails. The message repeats what it printed.
     """
     tool = find_gltfpack()
     with tempfile.TemporaryDirectory() as folder, replacing(path) as part:

@@ -1,4 +1,4 @@
-"""The OSC messages that are sent of a face: VMC for avatars, plain OSC and Face Cap's OSC for everything else."""
+"""Describe a face in OSC messages: VMC for avatars, plain OSC and Face Cap's OSC for everything else."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ Message = tuple[str, list]
 
 #: The part of the head's turn that the neck takes; the head takes the rest.
 NECK_SHARE = 0.4
-#: Bones that are sent, by VRM's names, and where an adult avatar of VRoid Studio has them in their parents: metres, x to
-#: the avatar's left, y up, z forward. Receivers write the position of a message into the bone, so that zero would sink it.
+#: The bones that are sent, by VRM's names, with their positions relative to their parents in an adult avatar of VRoid
+#: Studio: metres, x to the avatar's left, y up, z forward. A receiver sets the bone to the position in the message, so that
+#: a position of zero would pull the head into the neck.
 OFFSETS = {
     "Head": (0.0, 0.081, 0.010),
     "Neck": (0.0, 0.137, -0.040),
     "LeftEye": (0.016, 0.075, 0.026),
     "RightEye": (-0.016, 0.075, 0.026),
 }
-#: Face Cap's numbers of ARKit's shapes (its page on live mode).
+#: ARKit's shapes in the order in which Face Cap numbers them (its page on live mode).
 FACE_CAP = tuple(
     """
     browInnerUp browDownLeft browDownRight browOuterUpLeft browOuterUpRight eyeLookUpLeft eyeLookUpRight eyeLookDownLeft
@@ -42,9 +43,21 @@ FACE_CAP = tuple(
 class FaceState:
     """A face at one moment.
 
-    time s; tracked; curves (52,) of ``ARKIT_NAMES``; rotation (3, 3) of the head in the view frame (x right, y up, z to
-    the viewer); place (3,) m, how far the head has moved since the start; eyes (6,) yaw, pitch, roll of the left and of
-    the right eye in radians (:mod:`adaptiveface.livelink.convention`), by default from the curves.
+    Attributes
+    ----------
+    time : float
+        s.
+    tracked : bool
+        Whether the face was tracked.
+    curves : (52,)
+        One value for each of ``ARKIT_NAMES``.
+    rotation : (3, 3)
+        Of the head, in the view frame (x right, y up, z to the viewer).
+    place : (3,)
+        How far the head has moved since the start, m.
+    eyes : (6,), optional
+        Yaw, pitch and roll of the left eye, then of the right eye, radians (:mod:`adaptiveface.livelink.convention`).
+        Without them, the eyes follow the curves.
     """
 
     time: float
@@ -56,21 +69,27 @@ class FaceState:
 
     @property
     def eye_angles(self) -> np.ndarray:
-        """(6,) as measured, else from the curves."""
+        """(6,) angles of the eyes, radians, as measured; computed from the curves where nothing was measured."""
         return eye_angles(self.curves[None])[0] if self.eyes is None else self.eyes
 
     @property
     def head_angles(self) -> np.ndarray:
-        """(3,) yaw, pitch and roll of the head as Live Link Face has them, radians."""
+        """(3,) yaw, pitch and roll of the head in Live Link Face's convention, radians."""
         return angles(self.rotation)
 
 
 @dataclass(frozen=True)
 class VmcAvatar:
-    """What is known of the avatar that receives VMC.
+    """What is known about the avatar that receives VMC.
 
-    offsets: metres, bone -> its place in its parent (as :data:`OFFSETS`); arkit, presets: whether its face is sent ARKit
-    names and VRM's presets; moves: whether the avatar's root follows the head through the room.
+    Attributes
+    ----------
+    offsets : dict
+        Bone -> its position relative to its parent, m, as :data:`OFFSETS`.
+    arkit, presets : bool
+        Whether to send the curves under ARKit's names, and as VRM's presets.
+    moves : bool
+        Whether the avatar's root follows the head through the room.
     """
 
     offsets: dict[str, tuple[float, float, float]] = field(default_factory=lambda: dict(OFFSETS))
@@ -80,9 +99,10 @@ class VmcAvatar:
 
 
 def read_avatar(path: Path, moves: bool = False) -> VmcAvatar:
-    """Bones and face of a ``.vrm`` or ``.glb`` file; raises :class:`FileFormatError`.
+    """Read where a ``.vrm`` or ``.glb`` file has its bones, and which expressions its face knows.
 
-    An avatar with ARKit's names is sent only those, because presets would move its face a second time.
+    An avatar that knows ARKit's names is sent only those, because presets would move its face a second time. Raises
+    :class:`FileFormatError`.
     """
     from ..retargeting.face_rig import face_rig
     from ..retargeting.gltf_bones import find_bones
@@ -93,7 +113,9 @@ def read_avatar(path: Path, moves: bool = False) -> VmcAvatar:
     with file.errors():
         nodes = Nodes(file)
         found = {name.title().replace(" ", ""): number for name, number in find_bones(file, nodes).items()}
-        turned = np.array([-1.0, 1.0, -1.0]) if "VRM" in extensions(file.document) else np.ones(3)  # 0.x looks along -z
+        turned = (
+            np.array([-1.0, 1.0, -1.0]) if "VRM" in extensions(file.document) else np.ones(3)
+        )  # avatars of VRM 0.x look along -z
         offsets = dict(OFFSETS)
         for name, number in found.items():
             above = nodes.world[nodes.parent[number]][:3, 3] if number in nodes.parent else np.zeros(3)
@@ -104,7 +126,7 @@ def read_avatar(path: Path, moves: bool = False) -> VmcAvatar:
 
 
 def vmc_messages(state: FaceState, avatar: VmcAvatar | None = None) -> list[Message]:
-    """VMC (https://protocol.vmc.info) in Unity's axes: ``/VMC/Ext/OK``, ``T``, bones, ``Blend/Val`` and ``Blend/Apply``."""
+    """VMC messages (https://protocol.vmc.info), in Unity's axes: ``/VMC/Ext/OK``, ``T``, bones and blend values."""
     avatar = VmcAvatar() if avatar is None else avatar
     out: list[Message] = [("/VMC/Ext/OK", [int(state.tracked)])]
     if not state.tracked:
@@ -136,8 +158,12 @@ def vmc_messages(state: FaceState, avatar: VmcAvatar | None = None) -> list[Mess
 
 
 def osc_messages(state: FaceState) -> list[Message]:
-    """``/adaptiveface/tracked`` 0 or 1, ``head`` (m, quaternion x y z w, view frame), ``blendshape`` (name, value), and
-    the messages of Face Cap: ``/HT`` m, ``/HR`` degrees, ``/HRQ``, ``/ELR``, ``/ERR`` degrees, ``/W`` (number, value)."""
+    """Plain OSC messages, and those of Face Cap.
+
+    Plain: ``/adaptiveface/tracked`` (0 or 1), ``/adaptiveface/head`` (position in m and quaternion x y z w, view frame) and
+    ``/adaptiveface/blendshape`` (name, value). Face Cap: ``/HT`` (m), ``/HR``, ``/ELR`` and ``/ERR`` (degrees), ``/HRQ``
+    (quaternion) and ``/W`` (number, value).
+    """
     out: list[Message] = [("/adaptiveface/tracked", [int(state.tracked)])]
     if not state.tracked:
         return out
@@ -158,7 +184,7 @@ def _quaternion(turn: Rotation) -> list[float]:
 
 
 def _unity_turn(turn: Rotation) -> list[float]:
-    """A rotation in Unity's left-handed axes: x is mirrored, and so are the rotations about y and z."""
+    """A rotation in Unity's left-handed axes: mirroring x reverses the rotations about y and z."""
     x, y, z, w = _quaternion(turn)
     return [x, -y, -z, w]
 

@@ -1,4 +1,4 @@
-"""OBJ files: one per frame (a sequence that every program reads), or one per shape (a character's folder)."""
+"""Write OBJ files: a sequence with one file per frame, which every program reads."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..files import replacing, replacing_folder
 from ..retargeting import UNITS
 from .animation import AnimatedMesh, unit_normals
 
-#: All files have one prefix, because importers of sequences need it. Earlier versions wrote none.
+#: Importers of sequences need a common prefix. Earlier versions wrote none.
 _FRAME = re.compile(r"(?:face_)?\d{5,}\.obj")
 
 
 def obj_text(vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm") -> str:
     """An OBJ file of vertices (V, 3) mm and triangles (T, 3), with smooth normals, in ``unit`` (:data:`UNITS`).
 
-    colours (V, 3) uint8 follow the coordinates in the form that many programs read.
+    Colours (V, 3) uint8 follow the coordinates, in the form that many programs read.
     """
     points, digits = vertices / UNITS[unit], {"mm": 4, "cm": 5, "m": 7}[unit]
     number = f"{{:.{digits}f}}"
@@ -55,11 +55,11 @@ def sequence_bytes(mesh: AnimatedMesh, unit: str = "m") -> int:
 def write_obj_sequence(
     folder: str | Path, mesh: AnimatedMesh, unit: str = "m", progress: Callable[[Iterable], Iterable] = iter
 ) -> None:
-    """``face_00000.obj``, ... with the head's motion, the median position of the head at the origin, and
-    ``timestamps.csv``. The whole folder appears at the end, and takes the place of one with an earlier take.
+    """Write ``face_00000.obj``, ... with the head's motion, and ``timestamps.csv``.
 
-    ``unit`` of lengths: "m" (Blender, Houdini), "cm" (Maya) or "mm". Raises :class:`AdaptiveFaceError`: the folder holds
-    other files, the disk is full.
+    The median position of the head is at the origin. The folder appears complete at the end, and replaces one with an earlier
+    take. ``unit`` is "m" (Blender, Houdini), "cm" (Maya) or "mm". Raises :class:`AdaptiveFaceError` if the folder holds other
+    files, or if the disk is full.
     """
     with replacing_folder(folder, is_of_sequence) as new:
         for frame in progress(range(len(mesh))):

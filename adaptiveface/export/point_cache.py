@@ -1,4 +1,4 @@
-"""Point caches: all vertices of all frames in one binary file, beside the rest mesh as OBJ that they move.
+"""Write point caches: all vertices of all frames in a binary file, beside an OBJ file with the rest mesh.
 
 ``.pc2`` (3ds Max, Blender, Houdini; Maya converts it): "POINTCACHE2", little-endian, version 1, points, first frame,
 frames per sample, samples, then float32 x y z. ``.mdd`` (LightWave, Blender, Cinema 4D): big-endian, frames, points, one
@@ -24,7 +24,7 @@ _MAGIC = b"POINTCACHE2\0"
 
 
 def samples(mesh: AnimatedMesh) -> Iterator[np.ndarray]:
-    """(V, 3) mm, inside parts last, at every whole frame, the head's median place at the origin; linear in between."""
+    """(V, 3) mm at every whole frame, interpolated linearly; inside parts last, the head's median position at the origin."""
     codes = mesh.codes
     for code in range(count_samples(mesh)):
         after = int(np.searchsorted(codes, code - 1e-9))
@@ -60,7 +60,7 @@ def write_point_cache(
 ) -> None:
     """Write ``.mdd`` or ``.pc2`` and :func:`rest_mesh` beside it, each whole or not at all.
 
-    ``unit`` of lengths: "m", "cm" or "mm". ``progress`` wraps the frames (``tqdm``).
+    ``unit`` is "m", "cm" or "mm". ``progress`` wraps the frames, as ``tqdm`` does.
     """
     path, count, points = Path(path), count_samples(mesh), _points(mesh)
     big = path.suffix.lower() == ".mdd"

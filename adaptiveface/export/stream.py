@@ -1,4 +1,4 @@
-"""Streaming a performance while it is tracked, over UDP: VMC and OSC messages (the extra ``osc``), Live Link Face."""
+"""Stream a performance over UDP while it is tracked: VMC and OSC messages (the extra ``osc``), Live Link Face."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ def _bracketed(text: str) -> tuple[str, str, str]:
 class Streamer:
     """Sends every tracked frame to receivers: the coefficients re-solved from v4, and the head's motion.
 
-    actor: the tracked rig, of which the first ``count`` expressions are tracked; ``smoothing`` filters the curves;
-    ``parameters`` are those of the tracker (the defaults unless given). halves: solve for ARKit's shapes with their left
-    and right halves (:class:`~adaptiveface.retargeting.arkit_resolve.ArkitResolve`) instead of the tracked expressions.
-    :class:`Sender` says where the frames go and in which form.
+    ``actor`` is the tracked rig, of which the first ``count`` expressions are tracked. ``smoothing`` filters the curves.
+    ``parameters`` are those of the tracker, or the defaults. With ``halves``, the coefficients are those of ARKit's shapes with
+    their left and right halves (:class:`~adaptiveface.retargeting.arkit_resolve.ArkitResolve`) instead of the tracked
+    expressions. The :class:`Sender` decides where the frames go, and in which form.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Streamer:
         return self._sender.sent
 
     def send(self, frame: TrackedFrame, source_frame: RgbdFrame | None = None) -> None:
-        """Send one frame. Of a lost face, only that it is lost is sent. The eyes follow the irises in ``source_frame``.
+        """Send one frame. For a lost face, only the loss is sent. The eyes follow the irises in ``source_frame``.
 
         Raises :class:`AdaptiveFaceError` (no route).
         """
@@ -102,7 +102,7 @@ class Streamer:
         self._sender.send(state)
 
     def _looking(self, curves: np.ndarray, frame: TrackedFrame, source: RgbdFrame | None):
-        """Curves (52,) that look where the irises do, and eyes (6,); None for eyes while none were seen."""
+        """Curves (52,) whose gaze follows the irises, and angles of the eyes (6,), or None before any iris was seen."""
         gaze = self._gaze.see(frame, source)
         if not self._gaze.begun:
             return curves, None
@@ -192,13 +192,13 @@ def _send(client, messages: list[Message]) -> None:
 
 
 class Pace:
-    """Plays a recording at the speed at which it was taken. Live sources are never held back."""
+    """Plays a recording at the speed at which it was taken. It never delays live sources."""
 
     def __init__(self) -> None:
         self._began: tuple[float, float] | None = None
 
     def wait(self, timestamp: float) -> None:
-        """Sleep until ``timestamp`` (s) is due; late frames go out at once."""
+        """Sleep until ``timestamp`` (s) is due. Late frames are sent at once."""
         now = time.monotonic()
         if self._began is None:
             self._began = now, timestamp

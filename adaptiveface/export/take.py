@@ -1,4 +1,4 @@
-"""``adaptiveface export take.csv``: a take of Live Link Face drives a character, without any tracking."""
+"""Drive a character by a take of Live Link Face, without tracking: ``adaptiveface export take.csv``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..retargeting.smoothing import FILTERS, Smoothing
 from .animation import AnimatedMesh, character_animation
 from .arkit_csv import take_performance, write_arkit_csv
 
-#: Options of ``export`` that need a tracked result, and their value when nobody asked for them.
+#: Options of ``export`` that need a tracked result, and their default values.
 _OF_RESULTS = {"coefficients": None, "correctives": False, "actor": None, "source": None, "compare": False}
 
 

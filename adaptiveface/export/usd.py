@@ -1,4 +1,4 @@
-"""USD with blend shapes (UsdSkel) through ``usd-core``, the extra ``usd``."""
+"""Write USD with blend shapes (UsdSkel) through ``usd-core``, the extra ``usd``."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _pxr():
 
 
 def prim_name(name: str) -> str:
-    """``name`` as USD allows it: letters, digits and underscores, not starting with a digit."""
+    """``name`` in a form that USD allows: letters, digits and underscores, not starting with a digit."""
     return re.sub(r"^(?=\d)|\W", "_", name, flags=re.ASCII) or "_"
 
 
@@ -75,7 +75,7 @@ def _export(stage, path: Path) -> None:
 
 
 def _write_package(stage, path: Path) -> None:
-    """Write a package as Apple's AR Quick Look expects it: one .usdc in an uncompressed zip."""
+    """Write a package as Apple's AR Quick Look expects it: a .usdc file in an uncompressed zip."""
     pxr = _pxr()
     with tempfile.TemporaryDirectory() as folder:
         layer = Path(folder) / "performance.usdc"

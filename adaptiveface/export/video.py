@@ -1,4 +1,4 @@
-"""Side-by-side video of the input, the tracked mesh and characters; no display needed."""
+"""Write a video of the input, the tracked mesh and characters, side by side. It needs no display."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .animation import CAMERA_TO_VIEW, AnimatedMesh
 from .encoder import encode_h264, ffmpeg_program
 
 PANEL = 480
-#: Frames that a panel is drawn ahead.
+#: How many frames a panel is drawn ahead.
 AHEAD = 6
 #: Codecs of OpenCV's writer in the order of preference: VP9 plays in browsers, MPEG-4 everywhere else.
 _FOURCC = ("vp09", "mp4v")
@@ -39,7 +39,7 @@ Panel = Callable[[int], np.ndarray]
 
 
 def character_panel(mesh: AnimatedMesh) -> Panel:
-    """The animated character with the head's rotation; it stays in the middle."""
+    """The animated character with the head's rotation, in the middle of the panel."""
     character = _still(mesh)
     return lambda frame: painted_portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ mesh.head_pose[frame, :3, :3])
 
@@ -49,7 +49,7 @@ def turntable_panel(mesh: AnimatedMesh, degrees_per_frame: float = 2.0) -> Panel
     character = _still(mesh)
 
     def draw(frame: int) -> np.ndarray:
-        """The character as the camera sees it from where it is in this frame."""
+        """The character, seen from the camera's position in this frame."""
         turn = rotation_vector_matrix(np.array([0.0, np.radians(degrees_per_frame * frame), 0.0]))
         return painted_portrait(character, mesh.shape(frame), PANEL, CAMERA_TO_VIEW @ turn)
 
@@ -61,7 +61,7 @@ def _still(mesh: AnimatedMesh) -> Character:
 
 
 def tracked_panel(result: Result, insides: Insides | None = None) -> Panel:
-    """The tracked mesh v4 and what is inside it, seen by a camera that frames the whole performance."""
+    """The tracked mesh v4 and its inside parts, seen by a camera that frames the whole performance."""
     middle, spread = _framing(result)
     focal = 0.46 * PANEL * middle[2] / max(spread, 1.0)
     centre = (PANEL - 1) / 2
@@ -93,7 +93,7 @@ def input_panel(source, result: Result) -> Panel:
     u, v = camera.project(middle)
     half = 1.15 * camera.fx * spread / middle[2]
     matrix = PANEL / (2 * half) * np.array([[1.0, 0.0, half - u], [0.0, 1.0, half - v]])
-    read_colour = getattr(source, "read_colour", lambda frame: None)  # without the depth that nobody sees
+    read_colour = getattr(source, "read_colour", lambda frame: None)  # the depth would not be shown
 
     def draw(frame: int) -> np.ndarray:
         """The cropped picture; black where the source has none."""
@@ -122,7 +122,7 @@ def _framing(result: Result) -> tuple[np.ndarray, float]:
 def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Iterator[np.ndarray]:
     """Pictures (PANEL, n PANEL, 3) uint8 RGB with a label on every panel, for frame numbers.
 
-    Each panel is drawn by a thread of its own, in order and a few frames ahead. A frame that is repeated is drawn once.
+    A separate thread draws each panel, in order and a few frames ahead. A frame that is repeated is drawn once.
     """
     with ExitStack() as stack:
         threads = [stack.enter_context(ThreadPoolExecutor(1, "panel")) for _ in panels]
@@ -155,9 +155,10 @@ def _joined(drawn: list, times: int) -> Iterator[np.ndarray]:
 
 
 def write_film(path: str | Path, panels: Sequence[Panel], labels: Sequence[str], timestamps: np.ndarray, step: int = 1) -> None:
-    """The panels side by side over a take of increasing times (F,) s, as long as the take, every ``step``-th frame.
+    """Film every ``step``-th frame of a take, with the panels side by side. ``times`` (F,) increase, s.
 
-    ``.mp4`` repeats frames where the take has gaps, ``.gif`` shows them longer. Raises as :func:`write_video`.
+    The film is as long as the take. Where that has gaps, ``.mp4`` repeats frames, and ``.gif`` shows them longer. Raises what
+    :func:`write_video` raises.
     """
     times = np.asarray(timestamps, float)[::step]
     if Path(path).suffix.lower() == ".gif":
@@ -179,9 +180,9 @@ def _counted(frames: Iterator[np.ndarray], bar: tqdm) -> Iterator[np.ndarray]:
 def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, delays: Sequence[int] | None = None) -> None:
     """Write RGB frames of one even size as ``.mp4`` or ``.gif``, whole or not at all.
 
-    ``delays``: how long a ``.gif`` shows each frame, ms; without them it shows at most 15 of the ``fps`` frames a second.
-    MP4 is H.264 where ``imageio-ffmpeg`` is installed (extra ``video``), else what OpenCV can write. Raises
-    :class:`AdaptiveFaceError` when there is no frame or no encoder, when the encoder fails, or when the disk is full.
+    A ``.gif`` shows each frame for ``delays``, ms; without them, at most 15 of the ``fps`` frames per second are shown. MP4 is
+    H.264 if ``imageio-ffmpeg`` is installed (the extra ``video``), else a codec of OpenCV's. Raises :class:`AdaptiveFaceError`
+    if there is no frame or no encoder, if the encoder fails, or if the disk is full.
     """
     path = Path(path)
     frames = iter(frames)

@@ -26,15 +26,15 @@ from .shrink_wrap import ShrinkWrap, shrink_wrap
 from .skin import gather_skin
 
 DEFAULTS = Parameters()
-#: A head that is fitted without hair shows more of it, this often.
+#: How often hair is looked for: a head that was fitted without hair reveals more of it.
 HAIR_ROUNDS = 2
 
 
 @dataclass(frozen=True)
 class NeutralCapture:
-    """Every step's result: scan, fit, wrap and the 2D features' constraints, all in the actor's head frame; actor.
+    """The result of every step of the capture, in the actor's head frame.
 
-    The fit and the wrap have the expression that the scan shows, the actor's neutral has none.
+    The fit and the wrap have the expression that the scan shows. The actor's neutral has none.
     """
 
     scan: FusedScan
@@ -64,7 +64,7 @@ def capture_actor(
     progress : callable, optional
         Called with the name of a step and the share of it that is done, 0 to 1.
     source : optional
-        Where the frames came from. Its name and unit of depth appear in the message where the head is doubtful.
+        Where the frames come from. Messages about a doubtful head mention its name and its unit of depth.
 
     Returns
     -------
@@ -74,8 +74,8 @@ def capture_actor(
     Raises
     ------
     TrackingError
-        No face was found; its kind :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` where the head is no
-        person's.
+        No face was found. The subclass :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` says that the head
+        cannot be a person's.
     """
     return capture_neutral(frames, model, parameters, progress, source).actor
 
@@ -87,7 +87,7 @@ def capture_neutral(
     progress: Progress | None = None,
     source: Any = None,
 ) -> NeutralCapture:
-    """As :func:`capture_actor`, with every intermediate result."""
+    """Do what :func:`capture_actor` does, and return every intermediate result."""
     model = embedded_face_model() if model is None else model
     if len(frames) == 0:
         raise TrackingError("no neutral frames were given: at least one RGB-D frame with a face is needed")
@@ -111,7 +111,7 @@ def capture_neutral(
     places = calibrated_features(constraints, model, wrap.vertices, parameters.shrink_wrap.feature_shift)
     landmarks = calibrated_landmarks(scan, model, wrap.vertices)
     actor = replace(actor, feature_triangles=places[0], feature_weights=places[1], landmarks=landmarks)
-    if constraints.trust < 1.0:  # detected, with errors of their own
+    if constraints.trust < 1.0:  # the features were detected, and have errors
         actor = _looked_at(actor, wrap.vertices, frames, scan, parameters)
     report("blendshapes", 1.0)
     return NeutralCapture(scan, fit, wrap, constraints, actor)

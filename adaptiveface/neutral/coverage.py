@@ -1,4 +1,4 @@
-"""Which frames of a take make the best neutral scan: calm ones that see the face from as many sides as the take has."""
+"""Choose the frames of a take for the neutral scan: calm frames that show the face from as many sides as possible."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from ..geometry.frame import RgbdFrame
 from ..tracking.detection import pose_from_features
 from .choice import Choice, choose, costs, judge
 
-#: Degrees between two directions from which the second shows something new.
+#: Two viewing directions that differ by at least this angle show different parts of the face, degrees.
 SPREAD = 12.0
 
 
 def choose_by_coverage(frames: Sequence[RgbdFrame], points: np.ndarray, count: int) -> Choice:
-    """The ``count`` frames to take of those that show a face, in order.
+    """Choose at most ``count`` of the frames that show a face.
 
-    The leading or the calmest ones as :func:`.choice.choose` finds them, less those that are not calm; where calm frames show
-    the face from other sides, the farthest first, they take the place of up to half of them.
+    :func:`.choice.choose` finds the leading or the calmest frames; those that are not calm are left out. Up to half of them
+    are then replaced by calm frames that show the face from other sides, the most different side first.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ def choose_by_coverage(frames: Sequence[RgbdFrame], points: np.ndarray, count: i
     points : (40, 3)
         The model's features, mm.
     count : int
-        How many at most.
+        Largest number of frames.
 
     Returns
     -------
     Choice
-        Positions in ``frames``, and what is doubtful about them.
+        Positions in ``frames``, ascending, and what is doubtful about them.
     """
     judged = [judge(frame, points) for frame in frames]
     choice = choose(judged, count)
@@ -54,7 +54,7 @@ def choose_by_coverage(frames: Sequence[RgbdFrame], points: np.ndarray, count: i
 
 
 def _direction(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
-    """(3,) from the head to the camera, a unit vector in the head frame."""
+    """(3,) unit vector from the head to the camera, head frame."""
     pose = pose_from_features(frame, points)
     assert pose is not None  # only of frames that were judged by their pose
     towards: np.ndarray = -pose[:3, :3].T @ pose[:3, 3]

@@ -1,9 +1,8 @@
 """Transfer what the coefficients cannot express, v4 - v1, to the target (paper, section 8, future work).
 
-For a target whose skin has the actor's topology the difference between the final mesh v4 and the blendshapes' v1 is
-carried over by deformation transfer: both are transferred from the actor's neutral to the target's neutral with one
-factorisation, and their difference is added to what the coefficients make of the target. Deformation transfer is
-linear in the deformation gradients, so that the expressions of the target itself stay what they are.
+The target's skin must have the actor's topology. Deformation transfer carries both the final mesh v4 and the blendshapes' v1
+from the actor's neutral to the target's neutral, with one factorisation. The difference of the two is added to the target's
+own expressions, which do not change: deformation transfer is linear in the deformation gradients.
 """
 
 from __future__ import annotations
@@ -19,17 +18,30 @@ from ..result import Result
 from .character import Character
 from .retarget import driving_coefficients
 
-#: Frames transferred at once: bounds the memory of the right-hand sides.
+#: How many frames are transferred at once. This bounds the memory of the right-hand sides.
 _CHUNK = 64
 
 
 def transferred_correctives(
     neutral: np.ndarray, v1: np.ndarray, v4: np.ndarray, target: np.ndarray, triangles: np.ndarray
 ) -> np.ndarray:
-    """(F, V, 3) mm to add to the target's frames.
+    """Transfer v4 - v1 from the actor to a target.
 
-    neutral (V, 3): the actor's; v1, v4 (F, V, 3): blendshapes and final meshes, head frame; target (V, 3): its neutral;
-    triangles (T, 3) of all.
+    Parameters
+    ----------
+    neutral : (V, 3)
+        The actor's neutral, mm.
+    v1, v4 : (F, V, 3)
+        Meshes of the blendshapes and final meshes, head frame, mm.
+    target : (V, 3)
+        The target's neutral, mm.
+    triangles : (T, 3)
+        Of all these meshes.
+
+    Returns
+    -------
+    (F, V, 3)
+        What to add to the target's frames, mm.
     """
     out = np.empty_like(v4, dtype=float)
     for start in range(0, len(v4), _CHUNK):
@@ -44,23 +56,28 @@ def transferred_correctives(
 def carried_correctives(
     result: Result, actor: Actor, character: Character, coefficients: str = "resolved"
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """A function that gives the correctives of the frames (f,) that it is asked for: (f, V, 3) mm, zero beyond the skin.
+    """Make a function that computes a character's correctives for any frames.
 
     Parameters
     ----------
     result : Result
-        A take of any length; nothing of it is held.
+        A take of any length.
     actor : Actor
         The rig that was tracked.
     character : Character
-        Its skin has the actor's mesh.
+        Its skin must have the actor's topology.
     coefficients : str
-        Those that drive the character: "resolved" or "initial" (v4 - v1 in the paper's sense).
+        What drives the character: "resolved" or "initial" (v4 - v1 in the paper's sense).
+
+    Returns
+    -------
+    callable
+        Takes frame numbers (f,) and returns (f, V, 3) mm, which is zero beyond the skin.
 
     Raises
     ------
     ParameterError
-        The character's skin is not the actor's mesh.
+        The character's skin has another topology.
     """
     if not character.shares_topology(actor.triangles):
         raise ParameterError(f"correctives cannot be carried to '{character.name}': its mesh is not the actor's")

@@ -29,13 +29,23 @@ if TYPE_CHECKING:
 @renamed
 @dataclass(frozen=True)
 class Performance:
-    """What a character needs to perform: F frames.
+    """What a character needs to perform F frames.
 
-    curves (F, 52) ARKit curves, columns ``ARKIT_NAMES``, in [0, 1] (those of a phone's take may pass 1 by a little);
-    timestamps (F,) s; head_pose (F, 4, 4) head to camera, mm; unknown: expressions of the result that have no ARKit
-    counterpart and therefore do not show; eyes (F, 6): measured yaw, pitch and roll of the left and of the right eye,
-    radians, as in :mod:`adaptiveface.livelink.convention`, or None: they follow from the curves; start: time of day of
-    the first frame, s.
+    Attributes
+    ----------
+    curves : (F, 52)
+        ARKit curves, columns as ``ARKIT_NAMES``, from 0 to 1. Those of a phone's take may exceed 1 slightly.
+    timestamps : (F,)
+        s.
+    head_pose : (F, 4, 4)
+        Head frame to camera frame, mm.
+    unknown : tuple of str
+        Expressions of the result without an ARKit counterpart, which therefore do not show.
+    eyes : (F, 6) or None
+        Measured yaw, pitch and roll of the left eye, then of the right eye, radians (:mod:`adaptiveface.livelink.convention`).
+        With None, the eyes follow the curves.
+    start : float
+        Time of day of the first frame, s.
     """
 
     curves: np.ndarray
@@ -50,15 +60,15 @@ class Performance:
 
     @property
     def fps(self) -> float:
-        """Frames per second of the recording, a standard rate where one is near."""
+        """Frames per second of the recording, rounded to a standard rate that is close."""
         return frame_rate(self.timestamps)
 
     def table(self) -> DataFrame:
-        """The ARKit curves as a ``DataFrame``: a row per frame, the time as index (the extra ``pandas``)."""
+        """The ARKit curves as a ``DataFrame`` with a row per frame, indexed by time (needs the extra ``pandas``)."""
         return time_table(self.curves, self.timestamps, ARKIT_NAMES)
 
     def smoothed(self, smoothing: Smoothing | None) -> Performance:
-        """The same performance with filtered curves and measured eyes; None leaves them as they are."""
+        """The performance with filtered curves and eyes; without a filter, the performance itself."""
         if smoothing is None:
             return self
         eyes = None if self.eyes is None else smoothing.apply(self.eyes, self.timestamps)
@@ -68,9 +78,9 @@ class Performance:
 def driving_coefficients(result: Result, coefficients: str = "resolved", actor: Actor | None = None) -> np.ndarray:
     """(F, A) coefficients that drive the target.
 
-    "resolved": section 6, from the final mesh v4; with the actor's rig by :class:`SparseResolve` and the run's own
-    parameters, without it those that the tracker left in the result. "initial": section 4.2, what the paper compares
-    with in figure 8.
+    "resolved" coefficients are solved from the final mesh v4 (section 6): with the actor's rig by :class:`SparseResolve` and
+    the run's own parameters; without it, they are those that the tracker stored in the result. "initial" coefficients are
+    those of the first fit (section 4.2), with which figure 8 of the paper compares.
     """
     if coefficients not in COEFFICIENTS:
         raise ParameterError(f"coefficients = {coefficients!r}: one of {', '.join(COEFFICIENTS)} is expected")
@@ -88,9 +98,10 @@ def driving_coefficients(result: Result, coefficients: str = "resolved", actor: 
 def retarget(
     result: Result, coefficients: str = "resolved", smoothing: Smoothing | None = None, actor: Actor | None = None
 ) -> Performance:
-    """The performance of a tracked result, from :func:`driving_coefficients`. Raises :class:`ParameterError`.
+    """The performance of a tracked result.
 
-    ``coefficients`` "arkit": ARKit's shapes with their halves, re-solved from v4 by :class:`ArkitResolve`; needs the actor.
+    ``coefficients`` are those of :func:`driving_coefficients`, or "arkit": ARKit's shapes with their left and right halves,
+    solved from v4 by :class:`ArkitResolve`, which needs the actor. Raises :class:`ParameterError`.
     """
     if coefficients == "arkit":
         return _with_gaze(_arkit_performance(result, actor), result).smoothed(smoothing)
@@ -103,7 +114,7 @@ def retarget(
 
 
 def _with_gaze(performance: Performance, result: Result) -> Performance:
-    """The performance with the gaze of the result's irises; unchanged if none were seen."""
+    """The performance with the gaze that was measured by the irises; unchanged where no iris was seen."""
     if result.gaze is None:
         return performance
     eyes = eyes_of_gaze(result.gaze)
@@ -122,12 +133,12 @@ def _arkit_performance(result: Result, actor: Actor | None) -> Performance:
 
 
 def driving_names(result: Result, coefficients: str) -> tuple[str, ...]:
-    """The expressions that drive the target: the result's, or with "arkit" the units."""
+    """Names of the expressions that drive the target: those of the result or, for "arkit", ARKit's shapes."""
     return unit_names() if coefficients == "arkit" else tuple(result.expression_names)
 
 
 def coverage(table: ArkitWeights, character: Character) -> list[str]:
-    """Lines about what will not show: unknown expressions, and driven ARKit shapes that the character lacks."""
+    """Lines that say what will not show: unknown expressions, and ARKit shapes that the character lacks."""
     driven = [ARKIT_NAMES[i] for i in np.flatnonzero(np.abs(table.matrix).max(axis=0) > 0)]
     lines = [f"no ARKit counterpart: {', '.join(table.unknown)}"] if table.unknown else []
     missing = [name for name in driven if name in character.missing]
@@ -137,7 +148,7 @@ def coverage(table: ArkitWeights, character: Character) -> list[str]:
 
 
 def undriven(character: Character) -> list[str]:
-    """One line with the shapes that nothing drives, the first dozen by name."""
+    """A line that names the first dozen of the shapes that nothing drives."""
     names = [name for name in character.unknown if name not in character.parts]
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return [f"{character.name} has shapes that nothing drives: {', '.join(names[:12])}{more}"] if names else []

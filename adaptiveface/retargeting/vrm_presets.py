@@ -1,9 +1,9 @@
-"""VRM's preset expressions as mixtures of Apple's ARKit shapes: what drives avatars that have no ARKit names.
+"""VRM's preset expressions as mixtures of Apple's ARKit shapes, for avatars without ARKit names.
 
-One table, :data:`PRESETS`, in the names of VRM 1.0; VRM 0.x and VRoid Studio have other names for the same expressions
+The table :data:`PRESETS` uses the names of VRM 1.0. VRM 0.x and VRoid Studio have other names for the same expressions
 (:data:`VRM0_NAMES`, :func:`preset_name`). A preset's weight is the weighted sum of the curves, clipped to [0, 1].
-Negative weights keep expressions apart that share a movement: the jaw is open in "oh" too, and the inner brow rises in
-surprise too.
+Negative weights separate expressions that share a movement: the jaw also opens in "oh", and the inner brow also rises in
+surprise.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ VRM0_NAMES: dict[str, str] = {
     "lookLeft": "LookLeft",
     "lookRight": "LookRight",
 }
-# VRoid Studio's morph targets of the same meaning, for files that have lost their VRM part on the way.
+# VRoid Studio's morph targets of the same meaning, for files that were converted and lost their VRM part.
 _VROID = {
     "aa": "Fcl_MTH_A",
     "ih": "Fcl_MTH_I",

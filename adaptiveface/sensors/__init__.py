@@ -1,8 +1,8 @@
 """Provide frames: recordings on disk, the synthetic sensor, live sensors.
 
-:func:`open_sensor` opens a live sensor, whose ``read`` waits for the newest frame. A source has numbered frames, and
-all have the same small interface, :class:`FrameSource`; :func:`open_source` turns the text that a user typed
-into one. A source's ``read`` raises :class:`adaptiveface.errors.FrameError` for a frame that cannot be used.
+:func:`open_sensor` opens a live sensor, whose ``read`` waits for the newest frame. :func:`open_source` opens a source,
+which has numbered frames and the small interface :class:`FrameSource`. Both take the text that a user typed. A source's
+``read`` raises :class:`adaptiveface.errors.FrameError` for a frame that cannot be used.
 """
 
 from __future__ import annotations

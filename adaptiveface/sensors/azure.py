@@ -1,7 +1,7 @@
 """Azure Kinect through pyk4a: playback of ``.mkv`` recordings, and cameras.
 
-The SDK's own transformation of images needs an OpenGL context; the depth is freed from its lens distortion, and the
-picture aligned to it, by :mod:`adaptiveface.sensors.registration` with the calibration that the SDK reads.
+The SDK's own transformation of images needs an OpenGL context. Instead, :mod:`adaptiveface.sensors.registration` removes the
+lens distortion of the depth and aligns the picture to it, with the calibration that the SDK reads.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _DEPTHS = {1: (320, 288), 2: (640, 576), 3: (512, 512), 4: (1024, 1024)}
 
 
 def pyk4a_module():
-    """The library; raises :class:`DriverMissingError` with what to do, also where NumPy is too new for it."""
-    os.environ.setdefault("K4A_ENABLE_LOG_TO_STDOUT", "0")  # failures come back as errors
+    """The library. Raises :class:`DriverMissingError`, which says what to do, also where NumPy is too new for it."""
+    os.environ.setdefault("K4A_ENABLE_LOG_TO_STDOUT", "0")  # failures are reported as errors
     if int(np.__version__.partition(".")[0]) >= 2:
         reason = f"pyk4a-bundle needs NumPy 1, this environment has {np.__version__}"
         raise DriverMissingError(f"Azure Kinect: {reason}; make one for it: {_OWN_ENVIRONMENT}")
@@ -56,7 +56,7 @@ def connected_cameras() -> list[tuple[str, str]]:
 
 
 class AzureDriver(Driver):
-    """The camera with an ``index``; or a recording at ``path``, played as fast as it is read."""
+    """A camera by its ``index``, or the recording at ``path``, which plays as fast as it is read."""
 
     has_features, fps, depth_scale = False, 30.0, 1000.0
     description = "Azure Kinect"
@@ -70,7 +70,7 @@ class AzureDriver(Driver):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """The camera of a number, or the player of a recording."""
+        """The camera that ``argument`` numbers, or the player of the recording that it names."""
         if argument.isascii() and argument.isdecimal() and len(argument) < 4 or not argument:
             return lambda: cls(int(argument or 0))
         if not (argument.lower().endswith(".mkv") and Path(argument).is_file()):
@@ -168,7 +168,7 @@ class AzureDriver(Driver):
         return RawFrame(depth, self.camera, colour, self._number(seconds), seconds)
 
     def _number(self, seconds: float) -> int:
-        """The number of a frame, from the device's clock: frames carry none. It always increases."""
+        """The number of a frame, computed from the device's clock because frames carry none. It always increases."""
         if self._start_time is None:
             self._start_time = seconds
         self._sequence = max(round((seconds - self._start_time) * self.fps), self._sequence + 1)

@@ -1,4 +1,4 @@
-"""OpenCV's VideoCapture without its messages, and a calibration for colour cameras that have none."""
+"""Silence OpenCV's VideoCapture, and calibrate colour cameras whose calibration is unknown."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def quiet() -> Iterator[None]:
     """Silence OpenCV and its FFmpeg on stderr. Our own errors say what is wrong."""
     global _quiet, _level
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when FFmpeg is first used
-    with _level_lock:  # the level is the process's: the first one in saves it, the last one out restores it
+    with _level_lock:  # the level belongs to the whole process: the first user saves it, and the last one restores it
         if _quiet == 0:
             _level = cv2.utils.logging.getLogLevel()
             cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -43,16 +43,16 @@ def quiet() -> Iterator[None]:
 def camera_of_view(width: int, height: int, field_of_view: float = FIELD_OF_VIEW) -> Camera:
     """A camera of ``width`` x ``height`` px with square pixels that sees ``field_of_view`` degrees.
 
-    The angle is across the longer side: a phone held upright has turned its sensor, not changed its lens.
+    The angle is measured across the longer side, because turning a phone upright does not change its lens.
     """
     focal = max(width, height) / 2 / math.tan(math.radians(field_of_view) / 2)
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: float | None) -> Camera:
-    """The camera of ``field_of_view`` degrees; None: of ``intrinsics`` (an intrinsic.json) where it is, else the usual one.
+    """The camera of ``field_of_view`` degrees. With None: that of ``intrinsics`` (a JSON file) if it exists, else a guess.
 
-    Raises :class:`FileFormatError` where the file is malformed or of pictures of another size.
+    Raises :class:`FileFormatError` where the file is malformed or belongs to pictures of another size.
     """
     if field_of_view is not None or not intrinsics.is_file():
         return camera_of_view(width, height, FIELD_OF_VIEW if field_of_view is None else field_of_view)

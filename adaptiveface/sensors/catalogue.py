@@ -17,7 +17,17 @@ from .sources import open_source
 
 @dataclass(frozen=True)
 class SensorInfo:
-    """``name`` for :func:`open_sensor`; ``description``; ``state``: "ready", or why it cannot be opened now."""
+    """An entry of the list of sensors.
+
+    Attributes
+    ----------
+    name : str
+        What :func:`open_sensor` takes.
+    description : str
+        For people.
+    state : str
+        "ready", or why the sensor cannot be opened now.
+    """
 
     name: str
     description: str
@@ -38,12 +48,12 @@ def _possible(kinds: Mapping[str, SensorKind]) -> str:
 
 
 def list_sensors() -> list[SensorInfo]:
-    """Every sensor that can be named, connected ones with their serial number. A missing driver is no error."""
+    """Every kind of sensor; connected devices are listed with their serial numbers. A missing driver is not an error."""
     return [info for name, kind in sensor_kinds().items() for info in _connected(name, kind)]
 
 
 def _connected(name: str, kind: SensorKind) -> list[SensorInfo]:
-    """One entry for each connected device, or a single one that says why there is none."""
+    """An entry for each connected device, or a single one that says why there is none."""
     description = name
     try:
         driver = kind.load()
@@ -59,16 +69,16 @@ def _connected(name: str, kind: SensorKind) -> list[SensorInfo]:
 
 
 def is_live(text: str) -> bool:
-    """Whether ``text`` names a sensor that has no numbered frames: a real one, not a recording or ``synthetic``."""
+    """Whether ``text`` names a real sensor, which has no numbered frames, rather than a recording or ``synthetic``."""
     text, _ = split_mirrored(text)
     kind = text.partition(":")[0]
     return kind != "synthetic" and not Path(text).exists() and kind in sensor_kinds()
 
 
 def open_sensor(text: str) -> LiveSensor:
-    """Open the sensor or recording named by ``text``; a recording plays every frame, as fast as it is read.
+    """Open the sensor or recording named by ``text``. A recording plays every frame, as fast as it is read.
 
-    ``,mirrored`` at the end of any of them flips its frames. Raises :class:`SensorError` (not found, driver not
+    A name that ends in ``,mirrored`` has its frames flipped. Raises :class:`SensorError` (not found, driver not
     installed, ...), :class:`ParameterError` or :class:`FileFormatError`.
     """
     text, flipped = split_mirrored(text)

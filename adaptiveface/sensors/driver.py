@@ -1,4 +1,4 @@
-"""What differs between sensors: a :class:`Driver` and the frames that it delivers."""
+"""Define what differs between sensors: a :class:`Driver`, and the frames that it delivers."""
 
 from __future__ import annotations
 
@@ -16,11 +16,21 @@ from ..geometry.frame import Features2D, RgbdFrame
 
 @dataclass(frozen=True)
 class LiveFrame(RgbdFrame):
-    """A frame of a live sensor; it owns its arrays.
+    """A frame of a live sensor, which owns its arrays.
 
-    ``index`` counts the frames handed out; ``timestamp`` is the device's clock, s; ``host_timestamp`` the arrival on
-    ``time.perf_counter``, s; ``sequence`` the device's frame number; ``dropped`` how many frames of this sensor were
-    never handed out until now: lost by the device, replaced by a newer one, or too old.
+    Attributes
+    ----------
+    index : int
+        Number among the frames that were handed out.
+    timestamp : float
+        By the device's clock, s.
+    host_timestamp : float
+        Arrival on ``time.perf_counter``, s.
+    sequence : int
+        The device's frame number.
+    dropped : int
+        How many frames of this sensor were never handed out so far, because the device lost them, a newer one replaced
+        them, or they were too old.
     """
 
     host_timestamp: float = 0.0
@@ -40,9 +50,9 @@ class LiveFrame(RgbdFrame):
 
 @dataclass(frozen=True)
 class RawFrame:
-    """What a driver delivers: ``depth`` (H, W) mm of any dtype, ``colour`` (H, W, 3) uint8 RGB aligned to it or None.
+    """What a driver delivers: ``depth`` (H, W) mm of any dtype, and ``colour`` (H, W, 3) uint8 RGB aligned to it, or None.
 
-    Arrays may be views of the vendor's memory, valid until the driver is called again; they are copied at once.
+    Arrays may be views of the vendor's memory that are valid until the driver is called again. They are copied at once.
     """
 
     depth: np.ndarray
@@ -54,19 +64,19 @@ class RawFrame:
 
 
 class Driver(ABC):
-    """One vendor's library behind one small interface; one thread calls :meth:`open`, :meth:`grab` and :meth:`close`.
+    """A vendor's library behind a small interface. A single thread calls :meth:`open`, :meth:`grab` and :meth:`close`.
 
-    A subclass sets the fields that differ from these defaults, on the class or before :meth:`open` returns.
+    A subclass overrides these defaults on the class, or sets them before :meth:`open` returns.
     """
 
     name: str = "sensor"  #: for titles
-    live: bool = True  #: newer frames replace those that nobody reads; a file waits instead
+    live: bool = True  #: newer frames replace unread ones; a file waits until it is read
     reopens: bool = True  #: the sensor can be opened again after it was unplugged
     has_features: bool = False  #: frames bring 2D features
     colour_only: bool = False  #: there is no depth camera: every depth is 0
     depth_scale: float = 1000.0  #: units per metre in which depth is measured
     fps: float = 30.0
-    broken: Sequence[str] = ()  #: a recording's: the reason of each frame that cannot be used
+    broken: Sequence[str] = ()  #: of a recording: why each of its broken frames cannot be used
 
     description: str = ""  #: for the list of sensors
     unconnected: str = "not connected"  #: the state in that list where ``connected`` returns nothing
@@ -74,7 +84,7 @@ class Driver(ABC):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """A function that makes the driver of ``KIND:argument``. It is called again for each reconnection.
+        """A function that makes the driver of ``KIND:argument``. It is called once more for every reconnection.
 
         Raises :class:`ParameterError` or :class:`SensorError` where the argument names no device.
         """
@@ -82,7 +92,7 @@ class Driver(ABC):
 
     @classmethod
     def connected(cls) -> Sequence[tuple[str, ...]]:
-        """(identifier, name) of every connected device, or (identifier, name, state); may raise anything."""
+        """(identifier, name) or (identifier, name, state) of every connected device. It may raise any exception."""
         return []
 
     @abstractmethod
@@ -98,17 +108,17 @@ class Driver(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Stop and release everything; also after a failed :meth:`open`."""
+        """Stop and release everything. It is also called after :meth:`open` has failed."""
 
 
 def usable(raw: RawFrame) -> bool:
-    """Whether the images have the size that the camera says."""
+    """Whether the images have the size of the camera's calibration."""
     size = (raw.camera.height, raw.camera.width)
     return raw.depth.shape == size and (raw.colour is None or raw.colour.shape == (*size, 3))
 
 
 def live_frame(raw: RawFrame) -> LiveFrame:
-    """The frame that just arrived, in arrays of its own. NaN, infinite and negative depth become 0 (no measurement)."""
+    """The frame that has just arrived, with copied arrays. NaN, infinite and negative depth become 0 (no measurement)."""
     depth = np.array(raw.depth, np.float32)
     depth[~((depth > 0) & (depth < np.inf))] = 0
     colour = None if raw.colour is None else np.array(raw.colour, np.uint8)

@@ -1,7 +1,7 @@
-"""Play vendors' recordings in a process of their own, because a damaged file can crash or hang the vendor's library.
+"""Play vendors' recordings in a separate process, because a damaged file can crash or hang the vendor's library.
 
-The child (:func:`main`) reads the file with the vendor's driver and writes messages to its standard output: a line of
-JSON, for a frame followed by the bytes of depth (float32 mm) and colour. The pipe holds it back while nobody reads.
+The child process (:func:`main`) reads the file with the vendor's driver and writes messages to its standard output. A message
+is a line of JSON; for a frame, the bytes of depth (float32 mm) and colour follow. A full pipe makes the child wait.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from .driver import Driver, RawFrame
 from .matroska import is_plain_video
 from .worker import POLL_SECONDS
 
-#: By suffix: the module and the class of the driver whose ``path`` is such a file (it knows its ``camera`` once it is open),
-#: and the library that reads it.
+#: Suffix -> module and class of the driver that takes such a file as its ``path`` and knows its ``camera`` once it is open, and
+#: the library that reads it.
 PLAYERS = {
     ".oni": ("openni2", "OpenNI2Driver", "OpenNI2"),
     ".db3": ("realsense", "RealSenseDriver", "RealSense"),
     ".bag": ("realsense", "RealSenseDriver", "RealSense"),
     ".mkv": ("azure", "AzureDriver", "Azure Kinect"),
 }
-#: Longest that a library may take to open a file, or to read a frame, s. Intact files take less than a tenth of it.
+#: Longest time that a library may take to open a file, or to read a frame, s. Intact files need less than a tenth of it.
 PATIENCE_SECONDS = 20.0
 #: Longest line that the child writes, bytes, and longest side of an image, px.
 LONGEST_LINE, LONGEST_SIDE = 4096, 8192
@@ -50,13 +50,13 @@ _ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind,
 
 
 def plays(path: Path) -> bool:
-    """Whether ``path`` is a file that one of the ``PLAYERS`` reads; an .mkv unless it is a plain video."""
+    """Whether ``path`` is a file that one of the ``PLAYERS`` reads. An .mkv is one unless it is a plain video."""
     suffix = path.suffix.lower()
     return suffix in PLAYERS and path.is_file() and not (suffix == ".mkv" and is_plain_video(path))
 
 
 class FilePlayer(Driver):
-    """Plays the recording at ``path`` as the driver of its suffix does, frame by frame as it is read."""
+    """Plays the recording at ``path`` with the driver for its suffix, frame by frame as it is read."""
 
     live, reopens = False, False
 
@@ -68,7 +68,7 @@ class FilePlayer(Driver):
         self._frames = 0
 
     def open(self) -> None:
-        """Start the child and wait for what the file holds; raises the driver's errors, as this process's own."""
+        """Start the child and wait until it has opened the file. The driver's errors are raised in this process."""
         apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
         self._child = subprocess.Popen(
             self._command,
@@ -76,14 +76,14 @@ class FilePlayer(Driver):
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env=_environment(),
-            **apart,  # Ctrl-C is this process's affair
+            **apart,  # only this process handles Ctrl-C
         )
         opened = self._message()
         self.fps, self.depth_scale = opened["fps"], opened["depth_scale"]
         self.camera = Camera(**opened["camera"])
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; None where the file gives none for a moment."""
+        """The next pair of depth and colour; None while the file delivers none."""
         message = self._message()
         if message["kind"] == "none":
             return None
@@ -129,16 +129,16 @@ class FilePlayer(Driver):
 
 
 def _environment() -> dict[str, str]:
-    """The child's environment, in which it imports this very package, wherever it lies."""
+    """The child's environment, in which it imports this copy of the package, wherever that is installed."""
     home = str(Path(__file__).resolve().parents[2])
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (home, os.environ.get("PYTHONPATH"))))}
 
 
 # ---- the child -----------------------------------------------------------------------------------------------------
 def main(path: Path) -> None:
-    """Play ``path`` to the standard output; never returns, because the library may crash once more when it is unloaded."""
+    """Play ``path`` to the standard output. This never returns, because the library may crash again when it is unloaded."""
     pipe = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what the library prints is no message
+    os.dup2(2, 1)  # what the library prints must not be read as a message
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
     module, name, _ = PLAYERS[path.suffix.lower()]
     try:
@@ -147,14 +147,14 @@ def main(path: Path) -> None:
         _say(pipe, kind="error", error=type(error).__name__, text=str(error))
     except OSError:
         pass  # nobody reads any more
-    except Exception as error:  # whatever the library makes of a damaged file
+    except Exception as error:  # a library may raise anything on a damaged file
         text = f"{path}: cannot be read ({error or type(error).__name__})"
         _say(pipe, kind="error", error="SensorError", text=text)
     os._exit(0)
 
 
 def _end_with_the_parent() -> None:
-    """End the process when the standard input ends, as it does when the parent ends."""
+    """End the process when its standard input ends, which happens when the parent ends."""
     sys.stdin.buffer.read()
     os._exit(1)
 
@@ -178,7 +178,7 @@ def _play(driver: Driver, pipe: BinaryIO) -> None:
 
 
 def _in_time(call: Callable, *arguments):
-    """The call's result; where it takes too long this process ends, even if the library never gives the interpreter back."""
+    """The call's result. If it takes too long, this process ends, even if the library never releases the interpreter."""
     faulthandler.dump_traceback_later(PATIENCE_SECONDS, exit=True)
     try:
         return call(*arguments)

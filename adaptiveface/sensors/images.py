@@ -1,7 +1,7 @@
-"""Reading and writing the images of a recording.
+"""Read and write the images of a recording.
 
-Pillow reads the header first, so that the size is judged before any pixel is decoded, and refuses truncated files
-(OpenCV fills the missing rows with grey or zeros and says nothing).
+Pillow reads the header first, so that the size is checked before any pixel is decoded. It also refuses truncated files, where
+OpenCV silently fills the missing rows with grey or zeros.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..errors import FileFormatError, FrameError
 from ..files import open_regular, replacing
 from ..geometry.camera import Camera
 
-#: Largest image file that is read; one of the most pixels, uncompressed, has 96 MiB.
+#: Largest image file that is read. The largest picture that is allowed has 96 MiB without compression.
 _MAX_FILE_BYTES = 128 << 20
 
 

@@ -13,9 +13,9 @@ from ..geometry.camera import Camera
 
 #: Units per metre that a 16-bit depth image of a face can have: centimetre steps up to a range of 0.65 m.
 DEPTH_SCALE_RANGE = (100.0, 100_000.0)
-#: What depth images usually have, for messages.
+#: The usual values of ``depth_scale``, for messages.
 USUAL_DEPTH_SCALES = "1000 (millimetres: Kinect, RealSense, Azure, Open3D), 5000 (TUM), 8000 or 10000 (fine steps)"
-#: Frames a second where a recording states none.
+#: Frames per second of a recording that states none.
 USUAL_FPS = 30.0
 _MAX_JSON_BYTES, _MAX_JSON_VALUES = 1 << 20, 10_000
 _EXPECTED = "a list of 9 numbers: the camera's intrinsics, column-major, [fx, 0, 0, 0, fy, 0, cx, cy, 1]"
@@ -36,7 +36,7 @@ def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camer
     Raises
     ------
     FileFormatError
-        The file cannot be used; the message names it, the value and what is usual.
+        The file cannot be used. The message names the file, the value and the usual values.
     """
     content = _read_json(path)
     if content.get("depth_scale") is None:
@@ -72,7 +72,7 @@ def focal_and_centre(path: Path, name: str, matrix: object) -> tuple[float, floa
 
 
 def rate_of(path: Path, fps: object) -> float:
-    """Frames a second as a file states them, or the usual ones, with a note, where it states none."""
+    """Frames per second as a file states them. Where it states none, the usual rate is taken, and a note says so."""
     if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000:
         return float(fps)
     state = "fps is missing" if fps is None else f"fps = {abbreviated(fps)} is not between 0.1 and 1000"
@@ -81,7 +81,7 @@ def rate_of(path: Path, fps: object) -> float:
 
 
 def camera_of(where: Path | str, size: tuple[int, int], values: tuple[float, float, float, float]) -> Camera:
-    """The camera of ``size`` (width, height) px with fx, fy, cx, cy; raises :class:`FileFormatError` for no camera's."""
+    """The camera of ``size`` (width, height) px with fx, fy, cx, cy. Raises :class:`FileFormatError` for impossible values."""
     try:
         camera = Camera(*size, *values)
     except FileFormatError as error:
@@ -94,7 +94,7 @@ def camera_of(where: Path | str, size: tuple[int, int], values: tuple[float, flo
 
 
 def check_rate_and_scale(path: Path, fps: float, depth_scale: float) -> None:
-    """Raise :class:`FileFormatError` for values that no recording has."""
+    """Raise :class:`FileFormatError` for values that no recording can have."""
     low, high = DEPTH_SCALE_RANGE
     if not low <= depth_scale <= high:
         inverse = 0 < depth_scale < 1 and low <= 1 / depth_scale <= high

@@ -1,7 +1,7 @@
-"""The table of sensor kinds: this package's own, and those that other distributions add by an entry point.
+"""List the kinds of sensors: those of this package, and those that other distributions add by an entry point.
 
-An entry point of the group ``adaptiveface.sensors`` is named like the kind and refers to a
-:class:`~adaptiveface.sensors.driver.Driver` class; ``open_sensor("NAME:ARGUMENT")`` then opens it.
+An entry point in the group ``adaptiveface.sensors`` has the name of the kind and refers to a
+:class:`~adaptiveface.sensors.driver.Driver` class. ``open_sensor("NAME:ARGUMENT")`` then opens it.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ GROUP = "adaptiveface.sensors"
 
 @dataclass(frozen=True)
 class SensorKind:
-    """``usage``: how users write its name; ``load`` imports its driver class, which loads no vendor's library yet."""
+    """``usage`` is how users write the name. ``load`` imports the driver class, but not yet the vendor's library."""
 
     usage: str
     load: Callable[[], type[Driver]]
 
     def open(self, argument: str) -> LiveSensor:
-        """The sensor named ``KIND:argument``, open."""
+        """Open the sensor that is named ``KIND:argument``."""
         return LiveSensor(self.load().named(argument))
 
 
@@ -50,7 +50,7 @@ KINDS = {
 
 
 def sensor_kinds() -> dict[str, SensorKind]:
-    """Every kind by name. A name of this package is never replaced by an entry point."""
+    """Every kind by its name. An entry point cannot replace a name of this package."""
     return KINDS | {entry.name: _added(entry) for entry in entry_points(group=GROUP) if entry.name not in KINDS}
 
 
@@ -61,7 +61,7 @@ def _added(entry: EntryPoint) -> SensorKind:
             driver = entry.load()
         except AdaptiveFaceError:
             raise
-        except Exception as error:  # whatever another distribution's module raises
+        except Exception as error:  # another distribution's module may raise anything
             raise SensorError(f"{where} cannot be loaded ({error}); update or remove that package") from error
         if not (isinstance(driver, type) and issubclass(driver, Driver)):
             raise SensorError(f"{where} is not a Driver class ({entry.value}); update or remove that package")

@@ -1,8 +1,8 @@
 """Kinect v1 (Xbox 360, Kinect for Windows) through libfreenect, with ctypes: its Python binding has no wheels.
 
-The library registers depth to colour, in whole millimetres. The sensor measures an 11-bit disparity: neighbouring values
-are 1.4 mm apart at 700 mm and 2.9 mm at 1 m. A library that cannot register (fakenect) gives the disparity of the depth
-camera, which is converted here, and its pictures are withheld, as they are not aligned to that depth.
+The library registers depth to colour, in whole millimetres. The sensor measures an 11-bit disparity, whose steps are 1.4 mm
+apart at 700 mm and 2.9 mm at 1 m. A library that cannot register (fakenect) delivers the disparity of the depth camera, which
+is converted here. Its pictures are then left out, because they are not aligned to that depth.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from .driver import Driver, RawFrame
 from .pairing import Pairing
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
-#: Environment variable with the path of the library, where it is not among the system's.
+#: Environment variable with the path of the library, if it is not in a folder of the system.
 LIBRARY_VARIABLE = "FREENECT_LIBRARY"
 #: Ticks of the camera's clock per second; the counter has 32 bits.
 TICKS = 60e6
-#: A picture further than this many frames from its depth is not the same moment.
+#: A picture that is more frames away from its depth does not show the same moment.
 MAX_SKEW_FRAMES = 0.6
 #: A camera that delivers nothing for this long counts as unplugged, s.
 PATIENCE = 3.0
@@ -125,16 +125,16 @@ def connected_kinects() -> list[tuple[str, str]]:
 
 
 class Kinect1Driver(Driver):
-    """One Kinect v1, by its number or the first one.
+    """A Kinect v1: the one with a number, or the first one.
 
-    ``colour_camera``: calibration of depth registered to colour; ``depth_camera``: of the depth camera's own disparity.
-    Both are nominal, because the device reports none.
+    ``colour_camera`` is the calibration of depth that is registered to colour, ``depth_camera`` that of the depth camera's own
+    disparity. Both are nominal, because the device reports none.
     """
 
     live, has_features, fps, depth_scale = True, False, float(FPS), 1000.0
     colour_camera = Camera(WIDTH, HEIGHT, 525.0, 525.0, 319.5, 239.5)
     depth_camera = Camera(WIDTH, HEIGHT, 580.0, 580.0, 319.5, 239.5)
-    withholds_unaligned = True  #: pictures that are not aligned to the depth are not handed over
+    withholds_unaligned = True  #: leave out pictures that are not aligned to the depth
     description = "Kinect v1 (Xbox 360)"
 
     def __init__(self, index: str = "") -> None:
@@ -222,13 +222,13 @@ class Kinect1Driver(Driver):
         self._waiting.colour.append((pixels.reshape(HEIGHT, WIDTH, 3).copy(), self._seconds("colour", ticks)))
 
     def _seconds(self, stream: str, ticks: int) -> float:
-        """The clock's counter without its overflow every 72 s; depth and colour share the clock."""
+        """The clock's counter without its overflow every 72 s. Depth and colour share the clock."""
         before = self._clock.get(stream, self._clock.get("colour" if stream == "depth" else "depth", ticks))
         self._clock[stream] = before + (ticks - before + 2**31) % 2**32 - 2**31
         return self._clock[stream] / TICKS
 
     def _pair(self) -> RawFrame | None:
-        """A frame, if depth and colour of the same moment have arrived."""
+        """A frame, once depth and colour of the same moment have arrived, else None."""
         found = self._waiting.take()
         if found is None:
             return None
@@ -242,7 +242,7 @@ class Kinect1Driver(Driver):
 
 
 def millimetres(disparity: np.ndarray) -> np.ndarray:
-    """Depth (float32 mm, 0 = none) of the sensor's 11-bit disparity; the formula is OpenKinect's (Magnenat's fit)."""
+    """Depth (float32 mm, 0 = none) from the sensor's 11-bit disparity, by OpenKinect's formula (Magnenat's fit)."""
     table = 123.6 * np.tan(np.arange(2048) / 2842.5 + 1.1863)
     table[(table <= 0) | (table > 10_000)] = 0  # past the pole of the tangent there is no depth
     table[2047] = 0

@@ -1,7 +1,7 @@
 """Kinect v2 through kinect-next and Microsoft's Kinect for Windows SDK 2.0, on Windows. Not tested with a camera.
 
-The SDK knows where each depth pixel looks (its rays) and what the picture shows there. Its images are mirrored: the
-SDK's camera space has x to the sensor's left, growing with the columns; frames are handed over the right way round.
+The SDK tells the viewing ray of each depth pixel, and what the picture shows there. Its images are mirrored, because x points
+to the sensor's left in the SDK's camera space. They are flipped before frames are handed over.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .driver import Driver, RawFrame
 from .registration import Lens, Registration
 
 WIDTH, HEIGHT = 512, 424
-#: How long the runtime may take to find the sensor, and a running one may give nothing, s.
+#: Longest time that the runtime may take to find the sensor, and that a running sensor may deliver nothing, s.
 PATIENCE = 3.0
 
 
@@ -40,7 +40,7 @@ def _imported():
 
 
 def connected_sensors() -> list[tuple[str, str]]:
-    """Raises :class:`DriverMissingError`; which sensors there are is known only after opening one."""
+    """An empty list, because the SDK finds a sensor only by opening it. Raises :class:`DriverMissingError`."""
     kinect_module()
     return []
 
@@ -110,7 +110,7 @@ class Kinect2Driver(Driver):
         return RawFrame(depth, self._registration.camera, picture, self._sequence, seconds)
 
     def _picture(self, frames) -> np.ndarray:
-        """(424, 512, 3) RGB: the picture at each pixel of the depth, the right way round; black without depth."""
+        """(424, 512, 3) RGB of the picture at each pixel of the depth, not mirrored; black where there is no depth."""
         where = np.array(self._sensor.mapper.map_depth_frame_to_color_space(frames.depth), np.float32)
         where[~np.isfinite(where)] = -1e4
         rgb = np.ascontiguousarray(frames.color.as_rgb())
@@ -125,7 +125,7 @@ class Kinect2Driver(Driver):
 
 
 def registration(mapper) -> Registration:
-    """Calibration of the depth camera, the right way round, from the rays that the SDK's ``mapper`` gives its pixels.
+    """Calibration of the depth camera, not mirrored, from the viewing rays that the SDK's ``mapper`` gives for its pixels.
 
     The distortion is radial: (u - cx) / fx = x (1 + k1 r^2 + k2 r^4 + k3 r^6) is solved for k. Raises
     :class:`SensorError` where the runtime has no calibration yet, or another kind of lens.

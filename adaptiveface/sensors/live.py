@@ -1,7 +1,7 @@
-"""A live sensor: one thread owns the vendor's library, and readers get the newest frame, never a stale one.
+"""Read a live sensor: one thread owns the vendor's library, and readers get the newest frame, never a stale one.
 
-A :class:`~adaptiveface.sensors.driver.Driver` is the part that differs between sensors. :class:`LiveSensor` runs it in a
-thread of its own, checks what it delivers, opens it again after it was unplugged, and hands the frames over.
+A :class:`~adaptiveface.sensors.driver.Driver` holds what differs between sensors. :class:`LiveSensor` runs it in a separate
+thread, checks what it delivers, reopens it after it was unplugged, and hands the frames over.
 """
 
 from __future__ import annotations
@@ -21,23 +21,34 @@ from .driver import Driver, LiveFrame, RawFrame, live_frame, usable
 from .orientation import mirrored
 from .worker import POLL_SECONDS, Latest, Worker, packaged
 
-#: Longest :meth:`LiveSensor.close` waits for the vendor's library, s. What takes longer ends in the background.
+#: Longest time that :meth:`LiveSensor.close` waits for the vendor's library, s. After that, it ends in the background.
 CLOSE_SECONDS = 0.4
 #: Pause between two attempts to open a sensor again, s.
 RECONNECT_SECONDS = 0.25
-#: Longest :meth:`LiveSensor.read` waits unless told otherwise, s: for a camera, and for a file on a machine that is busy.
+#: Longest time that :meth:`LiveSensor.read` waits by default, s: for a camera, and for a file on a busy machine.
 LIVE_SECONDS, FILE_SECONDS = 1.0, 60.0
-#: A device's frame number that falls back by more than this is a counter that started over, not a late frame.
+#: If a device's frame number falls back by more than this, its counter has started over; otherwise the frame is late.
 RESTART_GAP = 100
 
 
 class LiveSensor(Closing):
-    """Frames of one sensor; a context manager, and an iterator until the end of the recording or :meth:`close`.
+    """The frames of a sensor. It is a context manager, and an iterator until the recording ends or :meth:`close` is called.
 
-    ``make_driver`` returns a fresh driver, also for each reconnection; ``max_age`` s: an older frame is dropped rather
-    than handed out; ``reconnect``: open the sensor again after it was unplugged, where it can be;
-    ``open_timeout`` s, None: the driver's own. Raises the error
-    with which the driver could not be opened.
+    Parameters
+    ----------
+    make_driver : callable
+        Returns a new driver. It is called once more for every reconnection.
+    max_age : float
+        Older frames are dropped instead of being handed out, s.
+    reconnect : bool
+        Open the sensor again after it was unplugged, if its driver can.
+    open_timeout : float, optional
+        Longest time to wait for the driver to open, s; the driver's own by default.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        The driver could not be opened.
     """
 
     def __init__(
@@ -56,7 +67,7 @@ class LiveSensor(Closing):
         self.has_features = self._driver.has_features
         self.colour_only = self._driver.colour_only  #: there is no depth: a degraded mode
         self.dropped, self.discarded = 0, 0  #: never handed out; unusable, repeated or out of order
-        self.superseded = 0  #: of the dropped ones: replaced by a newer frame or too old before anybody read them
+        self.superseded = 0  #: how many of the dropped frames a newer one replaced, or were too old before they were read
         self.broken = self._driver.broken  #: a recording's: reason of each
         self.mirrored = False  #: every frame is flipped left to right
         self._listeners: tuple[Callable[[LiveFrame], None], ...] = ()
@@ -72,7 +83,7 @@ class LiveSensor(Closing):
             with self._changed:
                 self._changed.wait_for(lambda: self._opened or self._error, open_timeout)
                 opened, error = self._opened, self._error
-        except BaseException:  # Ctrl-C, or an interrupted cell: nobody else could close it
+        except BaseException:  # after Ctrl-C or an interrupted cell, nobody else could close it
             self.close()
             raise
         if not opened:
@@ -80,9 +91,9 @@ class LiveSensor(Closing):
             raise error or SensorTimeoutError(f"{self.name}: did not start within {open_timeout:g} s; plug it in again")
 
     def read(self, timeout: float | None = None) -> LiveFrame:
-        """The newest frame that was not handed out yet, waiting up to ``timeout`` s for it.
+        """The newest frame that was not handed out yet; waits up to ``timeout`` s for one.
 
-        The default is a second for a sensor, and a minute for a recording, whose next frame is certain to come. Raises
+        The default is a second for a sensor, and a minute for a recording, whose next frame will certainly come. Raises
         :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
         :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor failed with.
         """
@@ -98,25 +109,25 @@ class LiveSensor(Closing):
         return frame
 
     def buffer(self, frames: int) -> None:
-        """Keep up to ``frames`` unread frames, however old: for recording, where each one counts and none is late."""
+        """Keep up to ``frames`` unread frames of any age: a recording needs every frame, and none is too late for it."""
         with self._changed:
             self._frames.capacity, self.max_age = frames, math.inf
 
     def mirror(self) -> None:
-        """Flip every frame, also those that are not read yet."""
+        """Flip every frame from now on, including the unread ones."""
         with self._changed:
             self._frames.convert(mirrored)
             self.mirrored = True
 
     @property
     def lost_by_device(self) -> int:
-        """Of the dropped frames, those that the device never delivered."""
+        """How many of the dropped frames the device never delivered."""
         return self.dropped - self.superseded
 
     def add_listener(self, listener: Callable[[LiveFrame], None]) -> None:
-        """Call ``listener`` with every frame: of a live sensor as it arrives, of a recording as it is handed out.
+        """Call ``listener`` with every frame: when it arrives from a live sensor, or when a recording hands it out.
 
-        It must be quick and not raise.
+        The listener must be quick and must not raise.
         """
         with self._changed:
             self._listeners += (listener,)
@@ -157,10 +168,10 @@ class LiveSensor(Closing):
                 driver = driver or self._make_driver()
                 driver.open()
                 self.fps, self.depth_scale = driver.fps, driver.depth_scale
-                self._last = None  # a sensor that comes back counts from the start
+                self._last = None  # a sensor that is back counts from the start
                 self._connect()
                 self._pump(driver)
-            except Exception as error:  # whatever a vendor's library raises ends here
+            except Exception as error:  # a vendor's library may raise anything
                 if not self._opened or not self.reconnect or isinstance(error, EndOfRecording):
                     self._finish(self._translate(error))
                     return
@@ -204,14 +215,14 @@ class LiveSensor(Closing):
             self._changed.notify_all()
 
     def _disconnect(self, error: AdaptiveFaceError) -> None:
-        """Tell readers that the sensor is gone, and may come back."""
+        """Tell readers that the sensor is disconnected and may come back."""
         with self._changed:
             self._drop_unread()
             self._connected = False
             self._frames.interrupt(error, SensorDisconnectedError(f"{self.name}: disconnected; waiting for it to come back"))
 
     def _finish(self, error: AdaptiveFaceError) -> None:
-        """Tell readers that no other frame will come."""
+        """Tell readers that no further frame will come."""
         with self._changed:
             self._drop_unread()
             self._frames.end(error)
@@ -229,7 +240,7 @@ class LiveSensor(Closing):
 
 
 def _close_quietly(driver: Driver | None) -> None:
-    """Close a driver without complaint: a library whose sensor is gone often fails once more on closing."""
+    """Close a driver and ignore errors: a library whose sensor is gone often fails again when it is closed."""
     try:
         if driver is not None:
             driver.close()

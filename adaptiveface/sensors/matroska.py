@@ -15,7 +15,7 @@ from ..files import open_regular
 #: Identifiers of the elements that are opened or searched.
 _EBML, _SEGMENT = 0x1A45DFA3, 0x18538067
 _TAGS, _TRACKS, _ATTACHMENTS = 0x1254C367, 0x1654AE6B, 0x1941A469
-#: What Azure Kinect's recorder leaves in tags, names of tracks and attachments.
+#: Marks of Azure Kinect's recorder in tags, track names and attachments.
 _MARKS = (b"K4A_", b"calibration.json")
 #: Most bytes of one element that are searched, and most elements walked over (an hour has some thousand clusters).
 _MAX_SEARCHED, _MAX_ELEMENTS = 4 << 20, 200_000
@@ -31,7 +31,7 @@ def is_plain_video(path: Path) -> bool:
 
 
 def _is_matroska(stream: BinaryIO) -> bool:
-    """Whether a segment follows the header; the stream is at its first element then."""
+    """Whether a segment follows the header. If so, the stream is left at its first element."""
     header = _element(stream)
     if header is None or header[0] != _EBML or header[1] is None:
         return False

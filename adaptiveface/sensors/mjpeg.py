@@ -1,6 +1,6 @@
-"""The stream of a network camera that sends JPEG after JPEG (multipart/x-mixed-replace over HTTP), read with bounds.
+"""Read, within limits, a network camera that sends one JPEG after another (multipart/x-mixed-replace over HTTP).
 
-A decoder allocates what a picture's header asks for: 16,000 x 16,000 pixels are gigabytes. Headers are therefore checked
+A decoder allocates what a picture's header asks for, and 16,000 x 16,000 pixels take gigabytes. Headers are therefore checked
 before anything is decoded, and no part may be longer than a picture can be.
 """
 
@@ -21,21 +21,21 @@ from ..errors import SensorError
 from ..files.bounded import size
 from ..geometry.camera import MAX_PIXELS
 
-#: Most bytes of one picture; a JPEG of 8K at best quality has half of it.
+#: Largest picture, bytes. An 8K JPEG of the best quality has half of that.
 MAX_PICTURE_BYTES = 16 << 20
 _MAX_LINE, _MAX_LINES, _CHUNK = 4096, 64, 1 << 16
 
 
 class MjpegStream:
-    """An open stream; ``read()`` like OpenCV's captures: (True, (H, W, 3) uint8 BGR), or (False, None) at its end.
+    """An open stream. Like OpenCV's captures, ``read()`` returns (True, (H, W, 3) uint8 BGR), or (False, None) at its end.
 
-    ``name`` is what errors call it. Raises :class:`SensorError` for pictures that no camera sends.
+    Errors call it ``name``. Raises :class:`SensorError` for pictures that no camera sends.
     """
 
     def __init__(self, response, boundary: bytes, name: str) -> None:
         self._response, self._name = response, name
         self._boundary = b"--" + boundary.removeprefix(b"--")
-        self._kept = b""  # read, and not used yet
+        self._kept = b""  # received, but not used yet
 
     def read(self) -> tuple[bool, np.ndarray | None]:
         """The next picture; raises :class:`SensorError`."""
@@ -125,7 +125,7 @@ class MjpegStream:
                     width, height = image.size
         except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
             raise SensorError(f"{self._name}: {error}") from None
-        except Exception:  # a damaged picture, whatever Pillow makes of it; the next one may be well
+        except Exception:  # Pillow may raise anything on a damaged picture; the next one may be intact
             return None
         if width * height > MAX_PIXELS:
             raise SensorError(f"{self._name}: a picture of {width} x {height} pixels; at most {MAX_PIXELS} in all are read")

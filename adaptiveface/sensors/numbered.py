@@ -1,4 +1,4 @@
-"""What sources with numbered frames share."""
+"""Provide what all sources with numbered frames share."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from ..geometry.frame import RgbdFrame
 
 @dataclass(frozen=True)
 class Abilities:
-    """What a source may declare about itself, in an attribute of the same name; otherwise the default holds."""
+    """What a source may declare about itself. Each field is an attribute of the source; without it, the default applies."""
 
     fps: float = 30.0
-    depth_scale: float | None = None  #: units per metre in which depth was measured
+    depth_scale: float | None = None  #: units per metre of the measured depth
     unit_file: Path | None = None  #: the file that says so
     timestamps: np.ndarray | None = None  #: (F,) s
     has_features: bool = False  #: frames bring 2D features; the detector is not needed
     colour_only: bool = False  #: there is no depth camera: the degraded mode
-    guessed_camera: bool = False  #: nothing says what the focal length is
+    guessed_camera: bool = False  #: the focal length is a guess
     mirrored: bool = False  #: frames are flipped when they are read
-    notes: Sequence[str] = ()  #: what was repaired or is missing, a line each
+    notes: Sequence[str] = ()  #: a line for each thing that was repaired or is missing
 
     @classmethod
     def of(cls, source: Any) -> Self:
-        """The abilities of a ``source``. None has the defaults."""
+        """The abilities of a ``source``; the defaults for None."""
         names = (entry.name for entry in fields(cls))
         return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)})
 

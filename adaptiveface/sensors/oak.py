@@ -1,6 +1,6 @@
 """Luxonis OAK-D cameras through depthai, version 3: stereo depth aligned to the colour camera. Not tested with a camera.
 
-The device rectifies, matches and aligns; picture and depth arrive as one pinhole camera.
+The device rectifies, matches and aligns the images. Picture and depth arrive as those of a single pinhole camera.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 
 WIDTH, HEIGHT, FPS = 640, 400, 30
-#: Depth and picture further apart than this are not one moment, ms.
+#: Depth and picture that are further apart do not show the same moment, ms.
 MAX_SKEW_MS = 17
 
 
 def depthai_module():
     """The vendor's library; raises :class:`DriverMissingError`."""
-    os.environ.setdefault("DEPTHAI_LEVEL", "off")  # failures come back as errors
+    os.environ.setdefault("DEPTHAI_LEVEL", "off")  # failures are reported as errors
     try:
         import depthai
 
@@ -37,7 +37,7 @@ def connected_cameras() -> list[tuple[str, str]]:
 
 
 class OakDriver(Driver):
-    """One camera, by its identifier or the first one."""
+    """The camera with an identifier, or the first one."""
 
     live, has_features, fps, depth_scale = True, False, float(FPS), 1000.0
     description = "Luxonis OAK-D"
@@ -70,7 +70,7 @@ class OakDriver(Driver):
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); use a USB 3 port") from None
 
     def _build(self, pipeline):
-        """Stereo depth aligned to the undistorted picture, both of one moment; returns the queue they arrive in."""
+        """Set up stereo depth that is aligned to the undistorted picture of the same moment; returns the queue of both."""
         dai, sockets, size = self._dai, self._dai.CameraBoardSocket, (WIDTH, HEIGHT)
         colour, left, right = (
             pipeline.create(dai.node.Camera).build(socket) for socket in (sockets.CAM_A, sockets.CAM_B, sockets.CAM_C)

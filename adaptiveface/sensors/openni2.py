@@ -1,7 +1,7 @@
 """PrimeSense Carmine, Asus Xtion and other OpenNI2 cameras, and ``.oni`` recordings, through the vendor's library.
 
-The camera registers depth to colour. A recording does not say whether its depth was registered: registration has to be
-on while recording. The calibration is the field of view that the driver tells, without distortion.
+The camera registers depth to colour. A recording does not say whether its depth was registered, so registration has to be on
+while recording. The calibration follows from the field of view that the driver reports, without distortion.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from .pairing import Pairing
 
 #: Preferred size and rate.
 WIDTH, HEIGHT, FPS = 640, 480, 30
-#: A picture further than this many frames from its depth is not the same moment.
+#: A picture that is more frames away from its depth does not show the same moment.
 MAX_SKEW_FRAMES = 0.6
 #: After this long without a frame, playback has ended, s.
 PLAYBACK_PATIENCE = 10.0
-#: After this long without a frame, the camera is looked for, s.
+#: After this long without a frame, check whether the camera is still connected, s.
 LIVE_PATIENCE = 1.0
-#: The library's driver for files plays frame by frame at this speed, each one when it is asked for.
+#: At this speed, the library's driver for files plays each frame when it is asked for.
 _FRAME_BY_FRAME = -1.0
 
 
@@ -48,9 +48,9 @@ def connected_cameras() -> list[tuple[str, str]]:
 
 
 class OpenNI2Driver(Driver):
-    """One camera, by URI or number or the first one; or the recording at ``path``, played as fast as it is read.
+    """A camera (by its URI, its number, or the first one), or the recording at ``path``, which plays as fast as it is read.
 
-    A damaged recording can crash the process: :class:`~adaptiveface.sensors.file_player.FilePlayer` has one to spare.
+    A damaged recording can crash the process, so :class:`~adaptiveface.sensors.file_player.FilePlayer` plays it in another.
     """
 
     has_features = False
@@ -88,14 +88,14 @@ class OpenNI2Driver(Driver):
 
     @by_the_owner
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; a device without colour gives depth alone."""
+        """The next pair of depth and colour; depth alone from a device without colour."""
         deadline = time.perf_counter() + timeout
         while True:
             self._check_end()
             patience = max(deadline - time.perf_counter(), 0.001)
             stream = self._device.wait(patience)
             if stream is None:
-                self._silence += patience  # not by the clock: this process may have slept
+                self._silence += patience  # not measured by the clock, because this process may have been suspended
                 self._check_silence()
             else:
                 waiting = self._waiting.depth if stream is self._depth else self._waiting.colour
@@ -137,7 +137,7 @@ class OpenNI2Driver(Driver):
 
     def _open_file(self):
         device = self._library.open(str(self.path.absolute()))
-        device.set(oni.PLAYBACK_REPEAT, ctypes.c_int(1))  # without, the library now and then crashes at the end
+        device.set(oni.PLAYBACK_REPEAT, ctypes.c_int(1))  # without it, the library sometimes crashes at the end
         device.set(oni.PLAYBACK_SPEED, ctypes.c_float(_FRAME_BY_FRAME))
         return device
 
@@ -191,7 +191,7 @@ class OpenNI2Driver(Driver):
             raise FileFormatError(f"{where}: depth and colour of {sizes} pixels; record both in the same size")
 
     def _calibration(self, mode) -> Camera:
-        """The colour camera's where depth is registered to it, else the depth camera's."""
+        """The colour camera's calibration if depth is registered to it, else the depth camera's."""
         stream = self._colour if self.live and self._colour is not None else self._depth
         kinds = oni.FOV_HORIZONTAL, oni.FOV_VERTICAL
         return camera_from_fov(mode.width, mode.height, *(stream.get(kind, ctypes.c_float).value for kind in kinds))
@@ -218,7 +218,7 @@ class OpenNI2Driver(Driver):
         return image, index, timestamp
 
     def _pair(self) -> RawFrame | None:
-        """A frame, if depth and colour of the same moment have arrived. A device without colour needs none."""
+        """A frame, once depth and colour of the same moment have arrived. A device without colour needs depth only."""
         if self._colour is None:
             found = (self._waiting.depth.popleft(), None) if self._waiting.depth else None
         else:
@@ -230,7 +230,7 @@ class OpenNI2Driver(Driver):
         return RawFrame(millimetres, self.camera, None if colour is None else colour[0], index, timestamp)
 
     def _check_end(self) -> None:
-        """The last depth frame was read, and no picture is awaited for it."""
+        """End the recording once the last depth frame was read and waits for no picture."""
         if not self.live and 0 < self._count <= self._read and not self._waiting.depth:
             self._end()
 
@@ -251,7 +251,7 @@ class OpenNI2Driver(Driver):
 
 
 def best_modes(depth_modes, colour_modes) -> list:
-    """The depth mode, and the colour mode of the same size and rate, next to 640 x 480 at 30; 0.1 mm before 1 mm.
+    """The depth mode closest to 640 x 480 at 30 Hz (0.1 mm preferred to 1 mm), and the colour mode of its size and rate.
 
     Raises :class:`OpenNI2Error` where no depth mode has a colour mode.
     """

@@ -1,4 +1,4 @@
-"""The parts of the OpenNI2 library that a depth camera needs, by ctypes.
+"""Call the parts of the OpenNI2 library that a depth camera needs, through ctypes.
 
 The Python package ``openni`` is not used: its enumerations fail to import on Python 3.13, it does not find Debian's
 library, and it closes handles from whatever thread collects the garbage.
@@ -31,10 +31,10 @@ _INSTALL = {
 _API_VERSION = 2002
 _OK, _NO_DEVICE, _TIME_OUT = 0, 6, 102
 
-#: A player that is closed before its thread runs never ends, s.
+#: Wait this long before closing a player, s: one that is closed before its thread runs never ends.
 _SETTLING_SECONDS = 0.05
-#: The one thread that calls the library. The library notes every thread that ever waited for a frame, and looking one
-#: up that has ended crashes the process; so all sensors share a thread that lives as long as the process.
+#: The only thread that calls the library. The library remembers every thread that ever waited for a frame, and crashes when
+#: it looks up one that has ended. All sensors therefore share a thread that lives as long as the process.
 _OWNER = ThreadPoolExecutor(1, thread_name_prefix="OpenNI2")
 _started = False
 
@@ -46,7 +46,7 @@ DEPTH_TO_COLOUR = 1
 
 
 def by_the_owner(function: Callable) -> Callable:
-    """Let the thread that owns the library run ``function`` while the caller waits. For outermost calls only."""
+    """Run ``function`` in the thread that owns the library, and wait for it. Such calls must not be nested."""
 
     @wraps(function)
     def run(*arguments):
@@ -75,7 +75,7 @@ class VideoMode(ctypes.Structure):
 
 
 class DeviceInfo(ctypes.Structure):
-    """How the library names a device."""
+    """The library's description of a device."""
 
     _fields_ = [("uri", c_char * 256), ("vendor", c_char * 256), ("name", c_char * 256), ("usb", c_uint16 * 2)]
 
@@ -103,7 +103,7 @@ class Frame(ctypes.Structure):
     ]
 
     def image(self) -> np.ndarray:
-        """A copy in the size of the video mode: (H, W) uint16 depth or (H, W, 3) uint8; cropped borders are 0."""
+        """A copy of the full size: (H, W) uint16 depth or (H, W, 3) uint8 colour; borders that were cropped are 0."""
         channels, dtype = (3, np.uint8) if self.mode.format == RGB888 else (1, np.uint16)
         item = channels * np.dtype(dtype).itemsize
         inside = 0 <= self.x <= self.mode.width - self.width and 0 <= self.y <= self.mode.height - self.height
@@ -150,7 +150,7 @@ _FLAGS = ("oniDeviceIsPropertySupported", "oniDeviceIsImageRegistrationModeSuppo
 
 
 class OpenNI2Library:
-    """The loaded library; :meth:`start` comes before anything else."""
+    """The loaded library. :meth:`start` must be called first."""
 
     def __init__(self) -> None:
         self._c = _load()
@@ -169,9 +169,9 @@ class OpenNI2Library:
         return None
 
     def start(self) -> None:
-        """Load the vendor's drivers, once; they stay until the process ends and notice what is plugged in or out.
+        """Load the vendor's drivers once. They stay loaded, and notice what is plugged in or out.
 
-        Unloading them takes half a second and crashes while one of their threads still runs.
+        Unloading them would take half a second, and crashes while one of their threads still runs.
         """
         global _started
         if not _started:
@@ -219,11 +219,11 @@ class Device:
         return bool(self._library.call(supported, self._handle, DEPTH_TO_COLOUR))
 
     def synchronise(self) -> None:
-        """Depth and colour of the same moments; raises :class:`OpenNI2Error` where the device cannot."""
+        """Take depth and colour at the same moments. Raises :class:`OpenNI2Error` where the device cannot."""
         self._library.call("oniDeviceEnableDepthColorSync", self._handle)
 
     def modes(self, kind: int) -> list[VideoMode]:
-        """Video modes of the depth or colour sensor; none where there is no such sensor."""
+        """Video modes of the depth or colour sensor; an empty list without such a sensor."""
         info = self._library.call("oniDeviceGetSensorInfo", self._handle, kind)
         return [info[0].modes[i] for i in range(info[0].count)] if info else []
 
@@ -247,7 +247,7 @@ class Device:
         return self.streams[index.value]
 
     def close(self) -> None:
-        """Stop and destroy the streams, close the device."""
+        """Stop and destroy the streams, and close the device."""
         young = self._opened + _SETTLING_SECONDS - time.perf_counter()
         if self.is_file and young > 0:
             time.sleep(young)

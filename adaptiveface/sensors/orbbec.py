@@ -1,7 +1,7 @@
 """Orbbec cameras (Femto, Gemini, Astra 2, ...) through the vendor's pyorbbecsdk, version 2. Not tested with a camera.
 
-Depth and picture are taken as the cameras see them and registered by :mod:`adaptiveface.sensors.registration` with the
-calibration of the two streams.
+Depth and picture are read unregistered. :mod:`adaptiveface.sensors.registration` registers them with the calibration of the
+two streams.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, S
 from .driver import Driver, RawFrame
 from .registration import Lens, Registration
 
-#: A live stream that gives nothing for so many polls, while the camera is no longer listed, was unplugged.
+#: A camera was unplugged if its stream delivers nothing for so many polls and it is no longer listed.
 SILENT_POLLS = 10
 _NO_DISTORTION = np.zeros(8)
 
 
 def orbbec_module():
-    """The vendor's library, its log turned off; raises :class:`DriverMissingError`."""
+    """The vendor's library with its log turned off; raises :class:`DriverMissingError`."""
     try:
         import pyorbbecsdk
 
@@ -29,7 +29,7 @@ def orbbec_module():
         raise DriverMissingError(f"Orbbec needs pyorbbecsdk2: {line} (Python 3.12 or newer with NumPy 2)") from None
     silent = pyorbbecsdk.OBLogLevel.NONE
     pyorbbecsdk.Context.set_logger_to_console(silent)
-    pyorbbecsdk.Context.set_logger_to_file(silent, "")  # else it makes a folder where the program runs
+    pyorbbecsdk.Context.set_logger_to_file(silent, "")  # otherwise it creates a folder in the working directory
     return pyorbbecsdk
 
 
@@ -41,7 +41,7 @@ def connected_cameras() -> list[tuple[str, str]]:
 
 
 class OrbbecDriver(Driver):
-    """One camera, by serial number or the first one."""
+    """The camera with a serial number, or the first one."""
 
     live, has_features, fps, depth_scale = True, False, 30.0, 1000.0
     description = "Orbbec"
@@ -79,7 +79,7 @@ class OrbbecDriver(Driver):
         self._pipeline, self.fps = pipeline, float(depth.get_fps())
 
     def _profiles(self, pipeline):
-        """The default depth stream and a colour stream of 640 pixels of width, or the default one."""
+        """The default depth stream, and the colour stream that is 640 pixels wide or, without one, the default."""
         ob = self._ob
         depth = pipeline.get_stream_profile_list(ob.OBSensorType.DEPTH_SENSOR).get_default_video_stream_profile()
         colours = pipeline.get_stream_profile_list(ob.OBSensorType.COLOR_SENSOR)

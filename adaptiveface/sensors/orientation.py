@@ -1,6 +1,6 @@
 """Show frames the right way round: flip mirrored recordings, and turn those of a camera that lay on its side.
 
-Colour, depth, calibration and features change together, so that the frame stays what a real camera saw.
+Colour, depth, calibration and features change together, so that the frame is one that a real camera could have taken.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from .numbered import Abilities, NumberedFrames
 
 AnyFrame = TypeVar("AnyFrame", bound=RgbdFrame)
-#: What ends the name of a source whose pictures are mirrored, as selfie videos are.
+#: Ending of the name of a source whose pictures are mirrored, as selfie videos are.
 MIRRORED = ",mirrored"
 #: iBUG-68 numbers that change places in a mirror, region by region: brows, eyes, outer lips, inner lips.
 _PAIRS = (
@@ -31,14 +31,14 @@ for _a, _b in np.searchsorted(FEATURE_IDS, _PAIRS):
 
 
 def split_mirrored(text: str) -> tuple[str, bool]:
-    """``text`` without the ending ``,mirrored``, and whether it had one; a file of that very name is a file."""
+    """``text`` without the ending ``,mirrored``, and whether it had one. An existing file may have such a name."""
     if text.endswith(MIRRORED) and not Path(text).exists():
         return text.removesuffix(MIRRORED), True
     return text, False
 
 
 def mirrored(frame: AnyFrame) -> AnyFrame:
-    """``frame`` flipped left to right; what was the left eye in its features is the right one. Keeps the frame's class."""
+    """``frame`` flipped left to right, of the same class. In its features, left and right change places."""
     camera, features = frame.camera, frame.features
     if features is not None:
         flip, right = [-1.0, 1.0], [camera.width - 1.0, 0.0]
@@ -55,7 +55,7 @@ def mirrored(frame: AnyFrame) -> AnyFrame:
 
 
 def turned(frame: AnyFrame, quarters: int) -> AnyFrame:
-    """``frame`` turned anticlockwise by ``quarters`` of a full turn. Keeps the frame's class."""
+    """``frame`` turned anticlockwise by ``quarters`` of a full turn, of the same class."""
     if quarters % 4 == 0:
         return frame
     features = frame.features
@@ -77,7 +77,7 @@ def turned(frame: AnyFrame, quarters: int) -> AnyFrame:
 
 
 def turned_camera(camera: Camera, quarters: int) -> Camera:
-    """The camera whose pictures are those of ``camera`` turned anticlockwise by ``quarters`` of a full turn."""
+    """The calibration of ``camera``'s pictures after they are turned anticlockwise by ``quarters`` of a full turn."""
     for _ in range(quarters % 4):
         camera = Camera(camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.width - 1.0 - camera.cx)
     return camera
@@ -86,7 +86,7 @@ def turned_camera(camera: Camera, quarters: int) -> Camera:
 class OrientedSource(NumberedFrames):
     """A source with numbered frames, each mirrored and then turned anticlockwise by ``quarters`` of a full turn.
 
-    Everything else is the source's own, except for its ground truth and its path, where everything is unturned.
+    Everything else is the source's own, except for its ground truth and its path, which describe unturned frames.
     """
 
     def __init__(self, source, mirrored: bool = False, quarters: int = 0) -> None:
@@ -115,7 +115,7 @@ class OrientedSource(NumberedFrames):
 
 
 def as_tracked(source, result):
-    """``source`` the way round in which ``result`` was tracked, so that pictures and meshes agree; None stays None."""
+    """``source`` flipped and turned as ``result`` was tracked, so that pictures and meshes agree; None stays None."""
     if source is None:
         return None
     flip = bool(getattr(result, "mirrored", False)) and not Abilities.of(source).mirrored

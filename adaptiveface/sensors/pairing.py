@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 
-#: Images of a stream kept until their partner comes: one stream may be delivered some frames after the other.
+#: How many images of a stream wait for their partners. One stream may be some frames behind the other.
 MOST_WAITING = 4
 
 
 class Pairing:
-    """Images that wait for their partner: put into ``depth`` and ``colour`` as tuples that end with their time, s.
+    """Images that wait for their partners. ``depth`` and ``colour`` take tuples whose last entry is the time, s.
 
-    ``skew``: images further apart than this, s, are not of the same moment.
+    Images that are further apart than ``skew``, s, do not show the same moment.
     """
 
     def __init__(self, skew: float) -> None:
@@ -20,7 +20,7 @@ class Pairing:
         self.colour: deque[tuple] = deque(maxlen=MOST_WAITING)
 
     def take(self) -> tuple[tuple, tuple] | None:
-        """The oldest pair of depth and colour, or None. The pair and everything older are forgotten."""
+        """Take out the oldest pair of depth and colour, or return None. Everything older than the pair is dropped."""
         for d, depth in enumerate(self.depth):
             for c, colour in enumerate(self.colour):
                 if abs(depth[-1] - colour[-1]) <= self.skew:

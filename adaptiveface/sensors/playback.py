@@ -19,14 +19,14 @@ DEVICE_QUEUE = 8
 
 
 def raw_frame(frame: RgbdFrame, sequence: int, timestamp: float) -> RawFrame:
-    """``frame`` as a driver delivers it."""
+    """``frame`` in the form in which a driver delivers it."""
     return RawFrame(frame.depth, frame.camera, frame.colour, sequence, timestamp, frame.features)
 
 
 class PlaybackDriver(Driver):
-    """Plays a source with numbered frames as fast as they are read. Broken frames count as lost by the device.
+    """Plays a source with numbered frames as fast as they are read.
 
-    ``broken``: the reason of each.
+    Broken frames count as lost by the device. ``broken`` lists the reasons.
     """
 
     live, reopens = False, False
@@ -59,11 +59,11 @@ class PlaybackDriver(Driver):
 
 
 class SyntheticDriver(Driver):
-    """The synthetic sensor in real time: 30 frames a second with 2D features, for ever.
+    """The synthetic sensor in real time: 30 frames per second with 2D features, without end.
 
     The frames are rendered in :meth:`open` (some seconds) and then played back and forth, so that the head never jumps.
     Like a camera, it does not wait: a reader that polls too late misses frames (``DEVICE_QUEUE``).
-    ``frames``: a list that keeps the rendered frames for the next driver; ``clock`` returns seconds.
+    The list ``frames`` keeps the rendered frames for the next driver. ``clock`` returns seconds.
     """
 
     has_features, open_timeout, unconnected = True, 180.0, "ready"
@@ -90,7 +90,7 @@ class SyntheticDriver(Driver):
         self._start, self._next = self._clock(), 0
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The frame of this moment, waiting for it up to ``timeout`` s."""
+        """The frame that is due now; waits up to ``timeout`` s for it."""
         wait = self._start + self._next / self.fps - self._clock()
         if wait > timeout:
             time.sleep(timeout)

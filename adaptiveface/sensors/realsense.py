@@ -1,6 +1,6 @@
 """Intel RealSense through pyrealsense2: connected cameras, and playback of ``.db3`` and ``.bag`` recordings.
 
-Colour is aligned to depth by the SDK; where depth has no measurement the aligned picture is black.
+The SDK aligns colour to depth. The aligned picture is black where depth has no measurement.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from .driver import Driver, RawFrame
 
 #: Size and rate that every D400 camera has for both streams.
 WIDTH, HEIGHT, FPS = 640, 480, 30
-#: A picture taken longer than this before or after its depth is not the same moment, ms.
+#: A picture that was taken longer before or after its depth does not show the same moment, ms.
 MAX_SKEW_MS = 50.0
-#: After this long without a frame, playback has ended, whatever its status says, s.
+#: After this long without a frame, playback is over even if its status says otherwise, s.
 PLAYBACK_PATIENCE = 10.0
 
 
@@ -47,9 +47,9 @@ def connected_cameras() -> list[tuple[str, str]]:
 
 
 class RealSenseDriver(Driver):
-    """One camera, by serial number or the first one; or a recording at ``path``, played as fast as it is read.
+    """A camera (by its serial number, or the first one), or the recording at ``path``, which plays as fast as it is read.
 
-    ``device``: an SDK device to use instead, e.g. a software device.
+    ``device`` is an SDK device to use instead, such as a software device.
     """
 
     has_features, fps, depth_scale = False, float(FPS), 1000.0
@@ -102,7 +102,7 @@ class RealSenseDriver(Driver):
             config.enable_device_from_file(str(self.path), repeat_playback=False)
             playback = config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback()
             playback.set_real_time(False)  # before the start: no frame is lost
-            playback.pause()  # reading begins with the first stream; what it reads is lost to one that starts later
+            playback.pause()  # reading begins with the first stream; a stream that starts later has lost what was read before
         profile = pipeline.start(config)
         if not self.live:
             playback.resume()
@@ -111,7 +111,7 @@ class RealSenseDriver(Driver):
         self.fps = float(stream.fps())
         self.camera = self._camera(stream.get_intrinsics())
         unit = self._device.first_depth_sensor().get_depth_scale()
-        self.depth_scale = round(1.0 / unit, 2)  # the SDK's unit is a float32, 0.0001 not quite
+        self.depth_scale = round(1.0 / unit, 2)  # the SDK's unit is a float32, which is not exactly 0.0001
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; None where one of them is missing or of another moment."""
@@ -171,6 +171,6 @@ class RealSenseDriver(Driver):
 
 
 def _skewed(depth, colour) -> bool:
-    """Whether the picture is of another moment, as when the colour stream stalls and the SDK repeats the last one."""
+    """Whether the picture shows another moment: the SDK repeats the last one while the colour stream stalls."""
     same_clock = depth.frame_timestamp_domain == colour.frame_timestamp_domain
     return same_clock and abs(depth.get_timestamp() - colour.get_timestamp()) > MAX_SKEW_MS

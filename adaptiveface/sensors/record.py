@@ -1,8 +1,8 @@
-"""``record`` and ``convert``: write the raw frames of a sensor in the layout of a recording.
+"""Run ``record`` and ``convert``: write the raw frames of a sensor in the layout of a recording.
 
-A pool of threads compresses pictures while the next frame is awaited. Images appear whole or not at all and the
-tables grow row by row before them, so that the folder is a readable recording at any moment: killed in mid-frame, it ends
-with the last frame whose images were complete.
+A pool of threads compresses pictures while the next frame arrives. Images appear whole or not at all, and the tables get a row
+before its images are written. The folder is therefore a readable recording at any moment. If the process is killed, it ends
+with the last frame whose images are complete.
 """
 
 from __future__ import annotations
@@ -30,9 +30,11 @@ REASONS = 5
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """``frames`` written to ``path``; ``dropped`` by the sensor or on the way; ``refused``: the disk was too slow.
+    """What was recorded.
 
-    ``broken``: why frames of a recording could not be read; ``moving_lens``: intrinsics.csv keeps a camera per frame.
+    ``frames`` were written to ``path``, ``dropped`` were lost by the sensor or on the way, and ``refused`` were left out
+    because the disk was too slow. ``broken`` lists why frames of a recording could not be read. With a ``moving_lens``,
+    intrinsics.csv holds a camera for every frame.
     """
 
     path: Path
@@ -57,7 +59,7 @@ class RecordingSummary:
 
 
 class FrameRecorder:
-    """Writes frames with a pool of threads; ``lossless=False``: a frame that finds a full backlog is refused.
+    """Writes frames with a pool of threads. Unless it is ``lossless``, a frame is refused when the backlog is full.
 
     Raises :class:`RecordingError` from :meth:`write` and :meth:`close` when the disk is full; the frames written before
     stay readable.
@@ -70,7 +72,7 @@ class FrameRecorder:
         self._waiting: deque[Future] = deque()
 
     def write(self, frame: LiveFrame) -> bool:
-        """Queue ``frame``; False where it was refused."""
+        """Queue ``frame``; returns False if it was refused."""
         while self._waiting and (self._waiting[0].done() or (self.lossless and len(self._waiting) >= BACKLOG)):
             self._finish_one()
         if len(self._waiting) >= BACKLOG:
@@ -82,7 +84,7 @@ class FrameRecorder:
         return True
 
     def close(self) -> None:
-        """Write what is queued; calling it again does nothing."""
+        """Write what is queued. Calling it again does nothing."""
         try:
             while self._waiting:
                 self._finish_one()
@@ -131,10 +133,10 @@ def record_sensor(
 ) -> RecordingSummary:
     """Record ``sensor`` into the new ``folder`` until ``seconds`` or ``frames`` are over, or its recording ends.
 
-    ``on_frame(frame)`` sees every frame. Ctrl-C ends the recording of a live sensor, and breaks off that of a file, whose
-    first part stays; a second one does not wait for the frame in hand. Raises :class:`RecordingError` on a full disk, the
-    sensor's :class:`SensorError`, :class:`FileFormatError` for a folder that holds a recording already; whatever was
-    recorded until then stays.
+    ``on_frame(frame)`` is called with every frame. Ctrl-C ends the recording of a live sensor. It interrupts the conversion of
+    a file, whose first part stays. A second Ctrl-C does not wait for the current frame. Raises :class:`RecordingError` on a
+    full disk, the sensor's :class:`SensorError`, and :class:`FileFormatError` for a folder that already holds a recording.
+    What was recorded until then stays.
     """
     check_has_depth(sensor)
     sensor.buffer(BACKLOG)
@@ -158,7 +160,7 @@ def record_sensor(
         finally:
             recorder.close()
         if not sensor.live:
-            ctrl_c.check()  # half a conversion is none
+            ctrl_c.check()  # an incomplete conversion is a failure
     writer, took = recorder.writer, time.perf_counter() - start
     lost = sensor.dropped - first.dropped
     broken, moving = tuple(sensor.broken), writer.moving_lens
@@ -191,7 +193,7 @@ def run_convert(args) -> int:
 
 
 def check_has_depth(sensor: LiveSensor) -> None:
-    """Raise :class:`SensorError` for a sensor without depth, of which no recording can be made."""
+    """Raise :class:`SensorError` for a sensor without depth, which cannot be recorded."""
     if sensor.colour_only:
         raise SensorError(
             f"{sensor.name}: no depth, and a recording is made of depth; record a video with any camera program, "

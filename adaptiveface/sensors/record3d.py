@@ -1,4 +1,4 @@
-"""``.r3d`` files of the iPhone app Record3D (TrueDepth or LiDAR): a zip with calibration, pictures and depth.
+"""Read ``.r3d`` files of the iPhone app Record3D (TrueDepth or LiDAR): a zip with calibration, pictures and depth.
 
     metadata            JSON: w, h (picture), dw, dh (depth), K (9, column-major, of the picture), fps,
                         perFrameIntrinsicCoeffs ([fx, fy, cx, cy] per frame, optional), frameTimestamps (s, optional)
@@ -6,7 +6,7 @@
     rgbd/N.depth        (dh, dw) float32 metres, LZFSE-compressed; NaN = no measurement
     rgbd/N.conf         confidence, not used
 
-Picture and depth share one view: the picture is scaled to the depth's size, and the calibration with it.
+Picture and depth have the same view, so the picture and its calibration are scaled to the depth's size.
 """
 
 from __future__ import annotations
@@ -36,11 +36,30 @@ _MAX_DEPTH_SIDE = 2048
 
 
 class R3dRecording(NumberedFrames):
-    """A Record3D recording, read frame by frame: ``camera`` of the first frame, ``fps``, ``name``, ``timestamps`` (len,) s.
+    """A Record3D recording, read frame by frame.
 
-    ``notes``: what of the times was converted or repaired. Each frame carries its own camera where the file has one per
-    frame. ``len()``, ``read(index)`` and iteration (which passes over broken frames). Raises :class:`FileFormatError`
-    for a file that cannot be used at all, and :class:`DriverMissingError` without the extra ``record3d``.
+    ``len()``, ``read(index)`` and iteration give the frames; iteration skips the broken ones. Each frame has its own camera if
+    the file holds one per frame.
+
+    Attributes
+    ----------
+    camera : Camera
+        Of the first frame.
+    fps : float
+        Frames per second.
+    name : str
+        Of the file.
+    timestamps : (F,)
+        s.
+    notes : tuple of str
+        What was converted or repaired in the timestamps.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be used at all.
+    DriverMissingError
+        The extra ``record3d`` is not installed.
     """
 
     has_features, depth_scale = False, 10_000.0
@@ -116,7 +135,7 @@ class R3dRecording(NumberedFrames):
             raise FrameError(f"{self.path}: {entry}: not readable as an image ({error})") from None
 
     def _entry(self, entry: str, limit: int) -> bytes:
-        """Content of ``entry``; the zip's own sizes are checked first, and held to while unpacking."""
+        """Content of ``entry``. The size that the zip declares is checked first, and enforced while unpacking."""
         try:
             member = self._zip.member(entry)
             if member.file_size > limit:
@@ -150,7 +169,7 @@ class R3dRecording(NumberedFrames):
         return value
 
     def _times(self, given) -> FrameTimes:
-        """Of the frames that are there: the file's times where it has one for every frame, else the frame rate's."""
+        """Times of the existing frames: those of the file if it has one for every frame, else by the frame rate."""
         numbers = np.array(self._frame_numbers)
         known = dict(enumerate(numbers / self.fps))
         if isinstance(given, list) and len(given) > numbers[-1] and all(_is_time(given[number]) for number in numbers):
@@ -172,7 +191,7 @@ class R3dRecording(NumberedFrames):
 
 
 def scaled_camera(picture: Camera, depth: tuple[int, int]) -> Camera:
-    """The camera of a picture -> that of the depth (width, height) px. Pixel edges scale: they start at -0.5."""
+    """Scale the camera of a picture to the depth's size (width, height), px. The first pixel's edge is at -0.5."""
     sx, sy = depth[0] / picture.width, depth[1] / picture.height
     return Camera(*depth, picture.fx * sx, picture.fy * sy, (picture.cx + 0.5) * sx - 0.5, (picture.cy + 0.5) * sy - 0.5)
 

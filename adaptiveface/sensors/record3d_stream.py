@@ -1,7 +1,7 @@
-"""iPhone TrueDepth live: the app Record3D streams over USB, and the package ``record3d`` receives.
+"""Read an iPhone's TrueDepth camera live: the app Record3D streams over USB, and the package ``record3d`` receives.
 
-The stream has no clock and no frame numbers: frames are counted and timed as they arrive. The picture is scaled to the
-depth, and handed over the way round in which the app sends it.
+The stream has neither a clock nor frame numbers, so frames are counted and timed as they arrive. The picture is scaled to the
+depth's size, and keeps the orientation in which the app sends it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 from .record3d import scaled_camera
 
-#: Closed streams. The library's thread may run on after disconnecting, and freeing its stream then ends the process.
+#: Closed streams, which are kept: the library's thread may still run, and freeing its stream would end the process.
 _RETIRED: list = []
 
 
@@ -40,7 +40,7 @@ def connected_phones() -> list[str]:
 
 
 class Record3DDriver(Driver):
-    """One iPhone, by its identifier or the first one."""
+    """The iPhone with an identifier, or the first one."""
 
     live, has_features, fps, depth_scale = True, False, 30.0, 10_000.0
     description = "iPhone with the app Record3D, by USB"
@@ -101,7 +101,7 @@ class Record3DDriver(Driver):
             depth = np.array(stream.get_depth_frame(), np.float32) * np.float32(1000.0)
             picture = np.array(stream.get_rgb_frame(), np.uint8)
             frame = aligned_frame(depth, picture, (k.fx, k.fy, k.tx, k.ty), self._count)
-        except Exception as error:  # raised here it would end the process: the caller is the library's own thread
+        except Exception as error:  # the caller is the library's own thread, where an exception would end the process
             failure = error
         with self._arrived:
             self._newest, self._failure, self._count = frame, failure, self._count + 1

@@ -1,4 +1,4 @@
-"""Recordings: a folder in the layout of Open3D's RGB-D recorder, with optional timestamps and 2D features.
+"""Read and write recordings: folders in the layout of Open3D's RGB-D recorder, with optional timestamps and 2D features.
 
     intrinsic.json           width, height, fps, depth_scale (units per metre), intrinsic_matrix (9, column-major)
     color/00000.jpg|png      8-bit colour, aligned to the depth pixel by pixel
@@ -8,9 +8,9 @@
     irises.csv               optional: frame,eye,u,v (left or right of the subject; pixels), beside features.csv
     intrinsics.csv           optional: frame,fx,fy,cx,cy (px): frames whose camera is not the one of intrinsic.json
 
-Numbers in file names and tables are those of the frames; the lowest one present is index 0. A number without files
-inside the range is a missing frame. A fault of the recording as a whole raises :class:`FileFormatError` on opening it; a
-fault of one frame raises :class:`FrameError` on reading that frame.
+File names and tables number the frames. The lowest number that exists is index 0, and a number without files inside the range
+is a missing frame. A fault of the whole recording raises :class:`FileFormatError` when it is opened. A fault of a single frame
+raises :class:`FrameError` when that frame is read.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ DEPTH_RANGE_MM = (100.0, 10_000.0)
 class Recording(NumberedFrames):
     """A recorded performance on disk, read frame by frame.
 
-    ``len()``, ``read(index)`` and iteration give the frames; iteration passes over the broken ones.
+    ``len()``, ``read(index)`` and iteration give the frames; iteration skips the broken ones.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Recording(NumberedFrames):
     Attributes
     ----------
     camera : Camera
-        The calibration. Frames that ``intrinsics.csv`` lists have one of their own.
+        The calibration. Frames that ``intrinsics.csv`` lists have their own.
     fps : float
         Frames per second.
     depth_scale : float
@@ -154,12 +154,13 @@ class Recording(NumberedFrames):
 
 
 class RecordingWriter(Closing):
-    """Writes frames in the layout that :class:`Recording` reads; every image appears whole or not at all.
+    """Writes frames in the layout that :class:`Recording` reads. Every image appears whole or not at all.
 
-    The tables, timestamps.csv and (where any frame has them) features.csv and irises.csv, grow row by row with the frames:
-    the folder is a readable recording at any moment, and nothing of it waits in memory. ``depth_scale`` units per metre (1
-    to 65,535 of them are stored); ``colour_format`` "jpg" (quality 95) or "png" (lossless).
-    Use as a context manager, or call :meth:`close`.
+    The tables (timestamps.csv and, if any frame has them, features.csv and irises.csv) grow row by row with the frames, so that
+    the folder is a readable recording at any moment. Use it as a context manager, or call :meth:`close`.
+
+    Depth is stored in ``depth_scale`` units per metre, 1 to 65,535 of them. ``colour_format`` is "jpg" (quality 95) or "png"
+    (lossless).
     """
 
     def __init__(
@@ -190,13 +191,13 @@ class RecordingWriter(Closing):
             temporary.write_text(intrinsics_json(self.camera, self.fps, self.depth_scale))
 
     def write(self, frame: RgbdFrame) -> int:
-        """Append ``frame``; returns its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
+        """Append ``frame``, and return its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
         number = self.reserve(frame)
         self.write_images(number, frame)
         return number
 
     def reserve(self, frame: RgbdFrame) -> int:
-        """Append ``frame`` to the tables on the disk; returns the number under which to write its images.
+        """Append ``frame`` to the tables on the disk, and return the number under which to write its images.
 
         The tables come first, so that a frame on the disk always has its features. Raises OSError on a full disk.
         """
@@ -217,7 +218,7 @@ class RecordingWriter(Closing):
         return number
 
     def write_images(self, number: int, frame: RgbdFrame) -> None:
-        """Write the images of a reserved ``frame``; several threads may do so at a time."""
+        """Write the images of a reserved ``frame``. Several threads may do so at the same time."""
         units = np.rint(frame.depth.astype(float) * (self.depth_scale / 1000.0))
         units[~((units >= 1) & (units <= 65_535))] = 0
         write_image(self.path / "depth" / f"{number:05d}.png", units.astype(np.uint16))
@@ -225,7 +226,7 @@ class RecordingWriter(Closing):
             write_image(self.path / "color" / f"{number:05d}.{self.colour_format}", frame.colour)
 
     def close(self) -> None:
-        """Close the tables. Everything is on the disk already; calling it again does nothing."""
+        """Close the tables. Everything is already on the disk. Calling it again does nothing."""
         for table in (self._timestamps, self._features, self._irises, self._cameras):
             table.close()
 

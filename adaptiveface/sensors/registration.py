@@ -1,8 +1,8 @@
-"""Depth and picture of two cameras with lenses: depth without distortion, the picture aligned to it.
+"""Register the depth and the picture of two cameras: remove the depth's lens distortion, and align the picture to it.
 
-For libraries that hand over both as taken. Depth is resampled between neighbours of one surface and taken from the
-nearest pixel at edges, so that no measurement arises between foreground and background; a lens without distortion
-leaves every value as it is.
+This is for libraries that deliver both as they were taken. Depth is interpolated between neighbours on the same surface, and
+taken from the nearest pixel at edges, so that no measurement arises between foreground and background. A lens without
+distortion leaves every value unchanged.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 
-#: Depth that differs by more than this within 3 x 3 pixels is not one surface, mm.
+#: Depth that differs by more within 3 x 3 pixels does not belong to a single surface, mm.
 EDGE_MM = 10.0
 
 
@@ -22,7 +22,7 @@ EDGE_MM = 10.0
 class Lens:
     """Calibration of one camera: ``width``, ``height`` and ``matrix`` (3, 3) in pixels.
 
-    ``distortion``: (8,) k1, k2, p1, p2, k3, k4, k5, k6 of the rational model, as OpenCV orders them.
+    ``distortion`` (8,) holds k1, k2, p1, p2, k3, k4, k5, k6 of the rational model, in OpenCV's order.
     """
 
     width: int
@@ -32,10 +32,10 @@ class Lens:
 
 
 class Registration:
-    """Takes depth and pictures to one pinhole ``camera``, that of the depth without its distortion.
+    """Maps depth and pictures to the pinhole ``camera`` that the depth camera is without its distortion.
 
-    ``rotation`` (3, 3) and ``translation`` (3,) mm take points from the depth camera to the colour camera; ``colour``:
-    None without a picture. Raises :class:`adaptiveface.errors.FileFormatError` for calibrations that no camera has.
+    ``rotation`` (3, 3) and ``translation`` (3,) mm take points from the depth camera to the colour camera. ``colour`` is None
+    where there are no pictures. Raises :class:`adaptiveface.errors.FileFormatError` for impossible calibrations.
     """
 
     def __init__(self, depth: Lens, colour: Lens | None = None, rotation=None, translation=(0.0, 0.0, 0.0)) -> None:
@@ -58,12 +58,12 @@ class Registration:
             return raw
         around = np.ones((3, 3), np.uint8)
         smooth = (cv2.dilate(raw, around) - cv2.erode(raw, around) < EDGE_MM).astype(np.uint8)
-        smooth[[0, -1]] = smooth[:, [0, -1]] = 0  # beyond the border there is nothing
+        smooth[[0, -1]] = smooth[:, [0, -1]] = 0  # there is no measurement beyond the border
         nearest, between = (cv2.remap(raw, *self._maps, how) for how in (cv2.INTER_NEAREST, cv2.INTER_LINEAR))
         return np.where(cv2.remap(smooth, *self._maps, cv2.INTER_NEAREST) > 0, between, nearest)
 
     def image(self, picture: np.ndarray) -> np.ndarray:
-        """``picture`` (H, W, 3) of the depth camera itself, without its distortion."""
+        """A ``picture`` (H, W, 3) of the depth camera itself, with the distortion removed."""
         return picture if self._maps is None else cv2.remap(picture, *self._maps, cv2.INTER_LINEAR)
 
     def colour(self, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ class Registration:
 
 
 def _undistortion(lens: Lens) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where each pixel of a pinhole camera lies in the lens's image, (H, W) float32 u and v; None: at its own place."""
+    """Where each pixel of a pinhole camera lies in the lens's image, (H, W) float32 u and v; None if nothing moves."""
     if not np.any(lens.distortion):
         return None
     size, k = (lens.width, lens.height), np.asarray(lens.matrix, float)

@@ -1,4 +1,4 @@
-"""The interface of sources with numbered frames, and the function that opens one by name."""
+"""Define the interface of sources with numbered frames, and open one by name."""
 
 from __future__ import annotations
 
@@ -28,12 +28,20 @@ _POSSIBLE = (
 class FrameSource(Protocol):
     """A numbered sequence of RGB-D frames from one calibrated camera.
 
-    ``camera``: its intrinsics; ``name``: for titles and file names; ``len(source)`` frames, broken ones included;
-    ``read(index)`` returns frame ``index`` or raises :class:`adaptiveface.errors.FrameError` for one that cannot be
-    used. A source whose frames carry 2D features says so with ``has_features = True``; for any other source the
-    detector runs on the colour images. A source without a depth camera says ``colour_only = True``: it is tracked in
-    the degraded mode of ``tracking/colour_tracker.py``, which nothing else switches on.
-    :class:`.numbered.Abilities` lists what else a source may say.
+    It has ``len(source)`` frames, including broken ones. ``read(index)`` returns a frame, or raises
+    :class:`adaptiveface.errors.FrameError` if it cannot be used.
+
+    A source whose frames carry 2D features declares ``has_features = True``; for other sources, the detector runs on the colour
+    images. A source without a depth camera declares ``colour_only = True``. It is then tracked in the degraded mode of
+    ``tracking/colour_tracker.py``, which nothing else switches on. :class:`.numbered.Abilities` lists what else a source may
+    declare.
+
+    Attributes
+    ----------
+    camera : Camera
+        The calibration.
+    name : str
+        For titles and file names.
     """
 
     camera: Camera
@@ -54,7 +62,7 @@ def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
     text : str
         A recording's folder, an ``.r3d`` file, a video, or ``synthetic[:SEED[:NOISE]...][@take.csv]``,
         whose skin, light and camera :mod:`adaptiveface.synthetic.look` names. With ``,mirrored`` at
-        the end the frames are flipped, for recordings that were made as in a mirror, such as selfie videos.
+        the end the frames are flipped, for recordings that are mirrored, as selfie videos are.
     field_of_view : float, optional
         Of a video, degrees across the longer side. :class:`.video_file.VideoFile` says what is taken without it.
 

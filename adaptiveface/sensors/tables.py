@@ -1,4 +1,4 @@
-"""The tables of a recording: timestamps.csv (frame,timestamp), features.csv (frame,feature,u,v,confidence),
+"""Read and write the tables of a recording: timestamps.csv (frame,timestamp), features.csv (frame,feature,u,v,confidence),
 irises.csv (frame,eye,u,v) and intrinsics.csv (frame,fx,fy,cx,cy)."""
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FEATURE_COLUMNS = ("frame", "feature", "u", "v", "confidence")
 IRIS_COLUMNS = ("frame", "eye", "u", "v")
 #: The subject's eyes, in the order of :attr:`~adaptiveface.geometry.frame.Features2D.iris_centres`.
 EYES = ("left", "right")
-#: Largest number of frames in a table. A take that was cut may have fewer images.
+#: Largest number of frames in a table. After a take was cut, there may be fewer images.
 _FREE_FRAMES, _MOST_PER_FRAME = 20_000, 4
 _MAX_LINE_BYTES = 100
 #: Largest value of a clock: nanoseconds since 1970 are 1.7e18.
@@ -32,7 +32,7 @@ _SLOT = {int(feature): slot for slot, feature in enumerate(FEATURE_IDS)}
 
 
 def read_timestamps(path: Path, frames: range, fps: float) -> FrameTimes:
-    """Seconds of ``frames`` as :func:`adaptiveface.runtime.timing.frame_times` judges them; without the file the frame rate's.
+    """Times of ``frames``, s, checked by :func:`adaptiveface.runtime.timing.frame_times`; by ``fps`` without the file.
 
     Raises :class:`FileFormatError` for a table that is malformed, or whose times fit ``fps`` in no unit.
     """
@@ -63,7 +63,7 @@ def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
         if number not in frames or identifier not in _SLOT:
             continue
         features = found.setdefault(number, Features2D(np.full((40, 2), np.nan), np.zeros(40)))
-        if all(abs(coordinate) < 1e6 for coordinate in pixel):  # NaN and infinity fail this test: not seen
+        if all(abs(coordinate) < 1e6 for coordinate in pixel):  # NaN and infinity fail this test, and count as not seen
             features.pixels[_SLOT[identifier]] = pixel
             features.confidence[_SLOT[identifier]] = trust
     return found
@@ -87,7 +87,7 @@ def read_irises(path: Path, frames: range) -> dict[int, np.ndarray]:
 def read_frame_cameras(path: Path, frames: range, camera: Camera) -> dict[int, Camera]:
     """Frame number -> camera of every frame that intrinsics.csv lists; empty without the file.
 
-    ``camera``: the recording's, which gives the size of the images. Raises :class:`FileFormatError` with the line.
+    ``camera`` is that of the recording, which gives the size of the images. Raises :class:`FileFormatError` with the line.
     """
     if not path.exists():
         return {}
@@ -107,7 +107,7 @@ def camera_row(frame: int, camera: Camera) -> tuple:
 
 
 def timestamp_row(frame: int, seconds: float) -> tuple:
-    """The row of a frame in timestamps.csv, microseconds kept."""
+    """The row of a frame in timestamps.csv, to the microsecond."""
     return frame, f"{float(seconds):.6f}"
 
 
@@ -129,9 +129,9 @@ def iris_rows(frame: int, seen: Features2D) -> list[tuple]:
 
 
 def _rows(path: Path, columns: tuple[str, ...], most: int) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of every row below the header ``columns``; at most ``most`` rows are read.
+    """Line number and cells of every row below the header ``columns``, for at most ``most`` rows.
 
-    A last line that a killed writer broke off is passed over.
+    An incomplete last line, which a killed writer left, is skipped.
     """
     content = read_bytes(path, _MAX_LINE_BYTES * (most + 2))
     lines = max(content.count(b"\n"), content.count(b"\r"))

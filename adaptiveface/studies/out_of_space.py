@@ -14,7 +14,7 @@ FRAMES = 60
 
 
 class Roughness:
-    """How a displacement of the frontal vertices differs from vertex to vertex."""
+    """Measures how much a displacement of the frontal vertices varies from vertex to vertex."""
 
     def __init__(self, take: Take) -> None:
         actor = take.actor
@@ -30,7 +30,7 @@ class Roughness:
 
 
 def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[dict]]:
-    """Caption, drawing and numbers."""
+    """Caption, drawing and numbers of the figure."""
     take = Take.performed(seed, noise, frames or FRAMES, 1)
     faces, roughness = Faces(take.actor, TOP), Roughness(take)
     shown, rows, found = take.liveliest(1)[0], [], {}
