@@ -18,14 +18,21 @@ from typing import Any, TypeVar
 
 _REACH = "max_correspondence_distance"
 _POSE = {"rigid": "head_pose"}
+_ANGLE = {"normal_angle": "max_normal_angle"}
 #: Class -> its old names -> those of today.
 OLD_NAMES: dict[str, dict[str, str]] = {
-    "RigidParameters": {"prune": _REACH, "lost": "max_residual"},
-    "BlendshapeParameters": {"prune": _REACH, "turned": "profile_stiffness", "every": "vertex_stride"},
+    "DepthParameters": {"min_view": "min_cosine"},
+    "RigidParameters": {
+        **{"prune": _REACH, "lost": "max_residual", "outlier": "outlier_distance", "converged": "min_step"},
+        **{"stiff": "half_weight_motion", "relocate": "max_reprojection_error"},
+    },
+    "BlendshapeParameters": {
+        **{"prune": _REACH, "turned": "profile_stiffness", "every": "vertex_stride", "outlier": "outlier_distance"},
+    },
     "LaplacianParameters": {"prune": _REACH, "steps": "cg_iterations"},
-    "FusionParameters": {"prune": _REACH},
-    "FitParameters": {"reach": _REACH},
-    "ShrinkWrapParameters": {"reach": _REACH},
+    "FusionParameters": {"prune": _REACH, **_ANGLE},
+    "FitParameters": {"reach": _REACH, **_ANGLE},
+    "ShrinkWrapParameters": {"reach": _REACH, **_ANGLE},
     "RefinementParameters": {"alike": "correlation_length"},
     "AnimatedMesh": _POSE,
     "GroundTruth": _POSE,

@@ -210,7 +210,7 @@ def test_plain_rigid_icp_ends_after_the_step_that_comes_below_3_mm(actor):
             rows = rigid_jacobian(points[matched], matches.normals[matched], centre)
             pose = apply_rigid_update(pose, np.linalg.lstsq(rows, -matches.distances[matched], rcond=None)[0], centre)
             steps += 1
-        weights = 1.0 / (1.0 + np.full(len(used), 5.0 / paper.stiff) ** 2)
+        weights = 1.0 / (1.0 + np.full(len(used), 5.0 / paper.half_weight_motion) ** 2)
         fit = RigidTracker(weights, paper).align(surface, shape, normals, start)
         np.testing.assert_allclose(fit.pose, pose, atol=1e-4)
         assert steps >= fewest and fit.residual < 3.0

@@ -45,7 +45,7 @@ def in_the_browser(slider, value: float) -> float:
             laplacian__w2=7.123,
             rigid__max_correspondence_distance=17.25,
             fusion__voxel=0.7,
-            rigid__converged=0.1 + 0.2,
+            rigid__min_step=0.1 + 0.2,
         ),
     ],
     ids=["defaults", "paper", "odd values"],

@@ -41,7 +41,7 @@ def tracker(frames):
         {"blendshapes__w": 3e-6},
         {"blendshapes__vertex_stride": 2},
         {"rigid__iterations": 2},
-        {"rigid__stiff": 3.0},
+        {"rigid__half_weight_motion": 3.0},
         {"kalman__model": "off"},
         {"adaptive_pca__valid_max": 3.0},
         {"blendshapes__A": 12},

@@ -46,7 +46,7 @@ class FaceState:
     Attributes
     ----------
     time : float
-        s.
+        Seconds.
     tracked : bool
         Whether the face was tracked.
     curves : (52,)

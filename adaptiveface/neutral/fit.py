@@ -140,7 +140,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     for iteration in range(parameters.iterations):
         used = _modes_now(iteration, modes)
         vertices, normals = _posed(model, head, prior)
-        found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
+        found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.max_normal_angle)
         if len(found.vertices) < _MIN_CORRESPONDENCES:
             raise TrackingError(
                 f"the face model meets the neutral scan in {len(found.vertices)} points only: the scan does not show a "
@@ -151,7 +151,7 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
         head = _step(model, head, prior, used, found, evidence, area, parameters)
         reach = float(np.clip(6 * 1.4826 * history[-1], 4.0, parameters.max_correspondence_distance))
     vertices, normals = _posed(model, head, prior)
-    found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.normal_angle)
+    found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.max_normal_angle)
     return _fitted(scan, model, head, prior, found, vertices, np.array(history))
 
 

@@ -215,7 +215,7 @@ def correspondences(
     inside[inside] = view.valid[row[inside], column[inside]]
     moved, turned, row, column = moved[inside], turned[inside], row[inside], column[inside]
     offset = moved - view.points[row, column]
-    agree = _dot(view.normals[row, column], turned) > np.cos(np.radians(parameters.normal_angle))
+    agree = _dot(view.normals[row, column], turned) > np.cos(np.radians(parameters.max_normal_angle))
     keep = agree & (_dot(offset, offset) < limit**2)
     return Pairs(moved[keep], turned[keep], _dot(offset[keep], turned[keep]), cosine[inside][keep], len(facing))
 

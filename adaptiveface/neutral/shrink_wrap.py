@@ -113,7 +113,9 @@ def _search(
     search: ScanSearch, model: FaceModel, vertices: np.ndarray, allowed: np.ndarray, parameters: ShrinkWrapParameters
 ) -> ScanCorrespondences:
     normals = vertex_normals(vertices, model.triangles)
-    return search.correspondences(vertices, normals, allowed, parameters.max_correspondence_distance, parameters.normal_angle)
+    return search.correspondences(
+        vertices, normals, allowed, parameters.max_correspondence_distance, parameters.max_normal_angle
+    )
 
 
 def _wrapped(model: FaceModel) -> np.ndarray:

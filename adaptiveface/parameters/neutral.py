@@ -32,7 +32,7 @@ class FusionParameters(Stage):
     max_correspondence_distance: float = parameter(
         25.0, "correspondences farther away are dropped", unit="mm", section="3", low=1, high=200
     )
-    normal_angle: float = parameter(
+    max_normal_angle: float = parameter(
         40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
     )
     min_cosine: float = parameter(
@@ -103,7 +103,7 @@ class FitParameters(Stage):
     max_correspondence_distance: float = parameter(
         20.0, "correspondences farther away are dropped at the start", unit="mm", section="3", low=1, high=200
     )
-    normal_angle: float = parameter(
+    max_normal_angle: float = parameter(
         45.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
     )
 
@@ -162,6 +162,6 @@ class ShrinkWrapParameters(Stage):
     max_correspondence_distance: float = parameter(
         8.0, "correspondences farther away are dropped", unit="mm", section="3", low=0.5, high=100
     )
-    normal_angle: float = parameter(
+    max_normal_angle: float = parameter(
         40.0, "largest angle between the normals of a correspondence", unit="degrees", section="3", low=5, high=90
     )

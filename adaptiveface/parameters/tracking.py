@@ -9,6 +9,7 @@ from ..renamed import renamed
 from .stages import Stage, parameter
 
 
+@renamed
 @dataclass(frozen=True)
 class DepthParameters(Stage):
     """Section 4.1: crop and noise reduction of the depth map."""
@@ -28,7 +29,7 @@ class DepthParameters(Stage):
         1.4, "Gaussian under the depth gradient, from which the normals follow", unit="px", low=0.3, high=20
     )
     edge: float = parameter(20.0, "depth step between neighbouring pixels that counts as an edge", unit="mm", low=1, high=200)
-    min_view: float = parameter(0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9)
+    min_cosine: float = parameter(0.12, "a surface seen at a smaller cosine of the viewing angle is not used", low=0, high=0.9)
 
 
 @renamed
@@ -39,7 +40,7 @@ class RigidParameters(Stage):
     max_correspondence_distance: float = parameter(
         25.0, "correspondences farther away are dropped", unit="mm", section="4.1", low=1, high=200
     )
-    outlier: float = parameter(
+    outlier_distance: float = parameter(
         5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
     max_residual: float = parameter(
@@ -53,7 +54,7 @@ class RigidParameters(Stage):
     iterations: int = parameter(
         8, "most ICP steps; the paper's 3 mm stop rule would end after one", section="4.1", low=1, high=50
     )
-    converged: float = parameter(
+    min_step: float = parameter(
         0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10, log=True
     )
     min_matches: int = parameter(150, "fewer correspondences than this and the track is lost", low=6, high=100000)
@@ -77,10 +78,10 @@ class RigidParameters(Stage):
         section="4.1",
         choices=("blendshapes", "output"),
     )
-    stiff: float = parameter(
+    half_weight_motion: float = parameter(
         4.0, "a vertex that expressions move by this much counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
-    relocate: float = parameter(
+    max_reprojection_error: float = parameter(
         6.0,
         "median reprojection error of the 2D features that asks for re-alignment",
         unit="px",
@@ -103,7 +104,7 @@ class BlendshapeParameters(Stage):
     max_correspondence_distance: float = parameter(
         15.0, "correspondences farther away are dropped", unit="mm", low=1, high=200, paper=25.0
     )
-    outlier: float = parameter(
+    outlier_distance: float = parameter(
         5.0, "distance at which a correspondence counts half", unit="mm", low=0.1, high=1e6, log=True, paper=1e6
     )
     weights: str = parameter(

@@ -122,7 +122,7 @@ def depth_surface(
     gradient_v = cv2.Sobel(coarse, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
     # Half of the support is missing on a straight rim: one and a half smoothing lengths inside it, 7 % are.
     valid = clean * (support > 0.8)
-    return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_view)
+    return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_cosine)
 
 
 def occluded_share(surface: DepthSurface, points: np.ndarray, normals: np.ndarray, margin: float) -> float:

@@ -36,7 +36,7 @@ class Performance:
     curves : (F, 52)
         ARKit curves, columns as ``ARKIT_NAMES``, from 0 to 1. Those of a phone's take may exceed 1 slightly.
     timestamps : (F,)
-        s.
+        Seconds.
     head_pose : (F, 4, 4)
         Head frame to camera frame, mm.
     unknown : tuple of str

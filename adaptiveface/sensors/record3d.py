@@ -50,7 +50,7 @@ class R3dRecording(NumberedFrames):
     name : str
         Of the file.
     timestamps : (F,)
-        s.
+        Seconds.
     notes : tuple of str
         What was converted or repaired in the timestamps.
 

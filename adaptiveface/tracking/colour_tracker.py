@@ -78,7 +78,7 @@ class ColourTracker(Tracker):
                 pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None, held)
             x = self._filtered(x)  # after the pose: features alone move it too far for coefficients that lag
             v1 = self.blendshapes.shape(x)
-        if not in_front(pose) or self._error(frame, pose, x) > 2.0 * self.parameters.rigid.relocate:
+        if not in_front(pose) or self._error(frame, pose, x) > 2.0 * self.parameters.rigid.max_reprojection_error:
             return self._lose(frame, ms, "the face in the picture does not fit the head")
         with timed(ms, "laplacian"):  # section 4.3 with w1 = 0 is the step of section 4.4
             v2 = self._deform_to_features(frame, pose, v1)
@@ -133,7 +133,7 @@ class ColourTracker(Tracker):
     def _find_pose(self, frame: RgbdFrame) -> tuple[np.ndarray | None, int]:
         """The last pose where it still fits roughly, else one from the features (perspective-n-point); fit rounds."""
         pose, x = self.state.pose, self.state.coefficients
-        if pose is not None and self._error(frame, pose, x) < 5.0 * self.parameters.rigid.relocate:
+        if pose is not None and self._error(frame, pose, x) < 5.0 * self.parameters.rigid.max_reprojection_error:
             return pose, 1
         self.state = replace(self.state, pose=None)  # it is not held where it was wrong
         return pose_from_features(frame, self.blendshapes.feature_points(x)), FIRST_ROUNDS

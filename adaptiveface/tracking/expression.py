@@ -264,7 +264,7 @@ class BlendshapeFit:
         )
         distances = matches.distances[matched]
         # Each stands for ``vertex_stride`` vertices, so that w keeps its meaning.
-        weights = p.vertex_stride * matches.weights[matched] / (1.0 + (distances / p.outlier) ** 2)
+        weights = p.vertex_stride * matches.weights[matched] / (1.0 + (distances / p.outlier_distance) ** 2)
         self.add_rows(equations, jacobian, distances, weights, current)
 
     def solve(self, equations: NormalEquations, x: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:

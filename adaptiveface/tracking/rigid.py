@@ -82,12 +82,12 @@ class RigidTracker:
 
         def step(pose: np.ndarray, matches: Correspondences) -> tuple[np.ndarray, float]:
             centre = transform_points(pose, middle)
-            robust = self.vertex_weights / (1.0 + (matches.distances / p.outlier) ** 2)
+            robust = self.vertex_weights / (1.0 + (matches.distances / p.outlier_distance) ** 2)
             update = self._solve(matches.points, matches, centre, robust)
             return apply_rigid_update(pose, update, centre), motion_of(update)
 
         printed = p.stop == "distance"
-        converged = 0.0 if printed else p.converged
+        converged = 0.0 if printed else p.min_step
         iterates = icp(pose, associate, step, lambda matches: matches.count, p.min_matches, p.iterations, converged)
         found = last(until_near(iterates, p.max_residual) if printed else iterates)
         residual = float("inf") if found.starved else found.matches.mean_distance

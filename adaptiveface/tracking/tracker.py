@@ -67,7 +67,7 @@ class FaceTracker(Tracker):
         if differ(old, p, "blendshapes", "rigid"):
             fitted = self.blendshapes.depth_vertices
             motion = np.linalg.norm(self.blendshapes.basis[:, fitted], axis=2).max(axis=0)
-            self.rigid = make.rigid(1.0 / (1.0 + (motion / p.rigid.stiff) ** 2), p.rigid)
+            self.rigid = make.rigid(1.0 / (1.0 + (motion / p.rigid.half_weight_motion) ** 2), p.rigid)
             self._fitted = self.region.local[fitted]
         if differ(old, p, "personal_blendshapes", "blendshapes.A"):
             self.personal = self._make_personal()
@@ -214,7 +214,9 @@ class FaceTracker(Tracker):
         if frame.features is None or frame.features.valid.sum() < 6:
             return True
         points = transform_points(pose, self.blendshapes.feature_points(self.state.coefficients))
-        return bool(np.median(reprojection_errors(frame.features, frame.camera, points)) < self.parameters.rigid.relocate)
+        return bool(
+            np.median(reprojection_errors(frame.features, frame.camera, points)) < self.parameters.rigid.max_reprojection_error
+        )
 
     def _crop(self, frame: RgbdFrame, pose: np.ndarray) -> DepthSurface | None:
         points = transform_points(pose, self._outline)
