@@ -10,6 +10,7 @@ import pytest
 
 from adaptiveface.pipeline import capture_from, track_source
 from adaptiveface.synthetic.sensor import SyntheticSensor
+from adaptiveface.tracking.colour_offset import beyond_doubt
 
 
 class Shifted:
@@ -41,3 +42,20 @@ def test_colour_beside_the_depth_is_said(detector, caplog, right, down, said):
     assert result.tracked.all() and len(notes) == said
     if said:
         assert notes[0].startswith("shifted: features lifted by the depth") and "registration" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("mm", "scatter", "scale", "said"),
+    [
+        (1.3, 0.15, 0.9, True),  # pictures 20 px too low before a TrueDepth camera
+        (1.25, 1.5, 0.38, False),  # a Kinect v2, whose infrared and depth are one picture
+        (1.25, 0.1, 0.38, False),  # half a pixel
+        (3.5, 2.5, 0.9, False),  # no constant offset
+        (0.8, 0.05, 2.0, False),
+    ],
+)
+def test_an_offset_is_said_that_pixels_and_frames_can_tell(mm, scatter, scale, said):
+    rng = np.random.default_rng(3)
+    across = [0.0, mm] + scatter * rng.standard_normal((60, 2))
+    found = np.column_stack([across, rng.standard_normal(60), np.full(60, scale)])
+    assert beyond_doubt(found) == said

@@ -206,6 +206,8 @@ def test_stages_are_told_apart_and_the_normal_offset_is_found(sensor):
     assert result.surface_percentiles("v2", ev.REPEAT)[0] == pytest.approx(0.5, abs=0.02)
     assert result.summary("v1", ev.REPEAT)["lips"] > 2 > result.summary("v2", ev.REPEAT)["lips"]
     assert result.summary("v4", ev.REPEAT)["surface_p95"] < 1e-3
+    shares = {stage: result.summary(stage, ev.REPEAT)["lips_share"] for stage in ("v1", "v4")}
+    assert shares["v1"] == pytest.approx(1.0, abs=1e-3) and shares["v4"] < 1e-3
     text = result.table()
     assert text.count("repeat") == 4 and "6 frames scored, 0 lost" in text
     heat = result.mean_error_map("v1", ev.REPEAT)

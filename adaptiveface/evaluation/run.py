@@ -65,10 +65,11 @@ class Evaluation:
             return [float("nan")] * len(percentiles)
         return [float(value) for value in np.percentile(values, percentiles)]
 
-    def active_share(self, stage: str, performance: int | None) -> float:
-        """:func:`metrics.active_share` over the frontal vertices of a performance."""
+    def active_share(self, stage: str, performance: int | None, region: str | None = None) -> float:
+        """:func:`metrics.active_share` over the frontal vertices of a performance, or those of one ``region``."""
         chosen = self.frames(performance)
-        return metrics.active_share(self.motion_length(stage)[chosen], self.motion[chosen])
+        inside = slice(None) if region is None else self.regions[region][self.frontal]
+        return metrics.active_share(self.motion_length(stage)[chosen][:, inside], self.motion[chosen][:, inside])
 
     def region_error(self, stage: str, region: str, performance: int | None, active: bool = False) -> float:
         """Mean length of the motion error over a region's vertices and a performance's frames, mm.
@@ -104,6 +105,7 @@ class Evaluation:
         for region in self.regions:
             out[region] = self.region_error(stage, region, performance)
             out[f"{region}_active"] = self.region_error(stage, region, performance, active=True)
+            out[f"{region}_share"] = self.active_share(stage, performance, region)
         return out
 
     def mean_error_map(self, stage: str, performance: int | None) -> np.ndarray:
