@@ -14,6 +14,8 @@ from adaptiveface.views.session import Session
 
 #: Frames of the lesson: the laugh, the rage, the faulty ones with some before them.
 LAUGH, RAGE, FAULT = range(4, 42, 2), range(50, 86, 2), range(230, 241)
+#: The same of the smirk, which only one test needs.
+SMIRK = range(100, 128, 2)
 HOLD_OF_LAUGH, HOLD_OF_RAGE = slice(8, 14), slice(len(LAUGH) + 7, len(LAUGH) + 13)
 FAULTY = slice(-3, None)
 
@@ -54,6 +56,16 @@ def test_k(session, default):
     assert left_over(one, HOLD_OF_LAUGH) < 0.4, "one shape explains the laugh"
     assert left_over(one, HOLD_OF_RAGE) > 0.75, "but not the rage"
     assert left_over(replay_with(session, K=5), HOLD_OF_RAGE) < 0.5
+
+
+def test_five_correctives_explain_all_three_expressions(session):
+    sensor = lesson.LessonSensor()
+    frames = [*session.frames[: len(LAUGH) + len(RAGE)], *(sensor.read(sensor.neutral_frames + k) for k in SMIRK)]
+    with_smirk = Session("lesson", session.camera, session.neutral, frames, _actor=session.actor)
+    one, five = (replay_with(with_smirk, K=K) for K in (1, 5))
+    hold_of_smirk = slice(-7, None)
+    assert left_over(one, hold_of_smirk) > 0.5
+    assert max(left_over(five, frames) for frames in (HOLD_OF_LAUGH, HOLD_OF_RAGE, hold_of_smirk)) < 0.4
 
 
 def test_s(session):
@@ -163,10 +175,12 @@ def moved_by(results: list) -> float:
 
 
 def test_w(session):
-    """w weighs the 2D features against the depth in the blendshape fit: without it the features are missed."""
+    """w weighs the 2D features against the depth in the blendshape fit: without it they are missed, with much the depth is."""
     little, default, large = (with_weights(session, blendshapes__w=w) for w in (1e-7, 5e-5, 1e-2))
     missed = [feature_error(session, results, "v1") for results in (little, default, large)]
     assert missed[0] > 1.1 * missed[1] > 1.21 * missed[2]
+    residuals = [np.mean([result.residual for result in results]) for results in (little, default, large)]
+    assert residuals[2] > 1.3 * residuals[1] and residuals[0] < 1.05 * residuals[1]
 
 
 def test_w1_and_w2(session):

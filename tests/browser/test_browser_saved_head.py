@@ -20,7 +20,7 @@ import sources  # noqa: E402
 if lab.CHROMIUM is None:
     pytest.skip("no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True)
 
-NOTEBOOKS = ("03_rigid_tracking.ipynb", "09_retargeting.ipynb")
+NOTEBOOKS = ("02_blendshapes.ipynb", "05_laplacian_deformation.ipynb")
 
 
 @pytest.mark.slow
