@@ -29,7 +29,8 @@ IDLE = """() => {
   const context = window.jupyterapp?.shell.currentWidget?.sessionContext;
   return context?.session?.kernel?.status === 'idle';
 }"""
-FAILED = ".jp-OutputArea-output[data-mime-type='application/vnd.jupyter.error']"
+FAILED = """() => [...window.jupyterapp.shell.currentWidget.content.model.cells]
+  .some(cell => cell.type === 'code' && cell.outputs.toJSON().some(output => output.output_type === 'error'))"""
 HEIGHT = "() => document.querySelector('.jp-WindowedPanel-outer').scrollHeight"
 UPPER_PART = """view => {
   const outer = document.querySelector('.jp-WindowedPanel-outer');
@@ -155,7 +156,7 @@ def main() -> None:
                     continue
                 page = browser.new_page(viewport=SIZE)
                 run_all(page, f"http://127.0.0.1:{port}/lab/tree/{path.name}?reset&token={token}")
-                failed = page.locator(FAILED).count()
+                failed = page.evaluate(FAILED)
                 photograph(page, PICTURES / f"notebook_{number}.jpg")
                 if args.whole:
                     photograph_whole(page, args.whole, number)

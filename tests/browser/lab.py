@@ -43,6 +43,10 @@ HARMLESS = (
 )
 
 _IDLE = "() => window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
+#: From the notebook itself: how its page marks an error changes with JupyterLab.
+_ERRORS = """() => [...window.jupyterapp.shell.currentWidget.content.model.cells]
+  .flatMap(cell => cell.type === 'code' ? cell.outputs.toJSON() : [])
+  .filter(output => output.output_type === 'error').map(output => `${output.ename}: ${output.evalue}`)"""
 #: Counts the charts that the browser decodes, the pictures of faces with new shapes or colours, and, "turned", all that it
 #: draws of faces, with their times.
 _WATCH = """() => { window.loads = {face: [], chart: [], turned: []};
@@ -148,9 +152,14 @@ def run_cells(page, last: int, timeout: float = 400.0) -> None:
         last,
     )
     page.wait_for_function(_IDLE, timeout=1000 * timeout)
-    errors = page.locator("[data-mime-type='application/vnd.jupyter.error']")
-    if errors.count():
-        raise AssertionError(errors.first.inner_text())
+    raised = errors(page)
+    if raised:
+        raise AssertionError("; ".join(raised))
+
+
+def errors(page) -> list[str]:
+    """What the cells of the open notebook have raised, "NameError: ..."."""
+    return page.evaluate(_ERRORS)
 
 
 def run_code(page, code: str) -> str:

@@ -53,12 +53,6 @@ def open_with(page, address: str, name: str, **lines: str) -> str:
     return "\n".join(text for text in said.all_inner_texts() if text.strip())
 
 
-def errors(page) -> list[str]:
-    """What cells have raised, the last line of each."""
-    found = page.locator("[data-mime-type='application/vnd.jupyter.error']").all_inner_texts()
-    return [text.strip().splitlines()[-1] for text in found if text.strip()]
-
-
 def photograph(page, folder: Path, name: str) -> None:
     """Every output that shows something, as ``NUMBER_OUTPUT.png``."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -88,7 +82,7 @@ def main() -> None:
                 said = open_with(page, address, name, **lines)
                 if args.pictures:
                     photograph(page, args.pictures, name)
-                print(f"== {name}\n{said}\nraised: {errors(page)}; console: {page.problems}", flush=True)
+                print(f"== {name}\n{said}\nraised: {lab.errors(page)}; console: {page.problems}", flush=True)
                 lab.shut_down(page)
 
 

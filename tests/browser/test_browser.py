@@ -13,6 +13,7 @@ pytest.importorskip("jupyterlab", reason="the extra 'notebooks' is not installed
 pytest.importorskip("playwright", reason="playwright is not installed")
 
 import lab  # noqa: E402
+import nbformat  # noqa: E402
 
 if lab.CHROMIUM is None:
     pytest.skip("no chromium found (Debian: apt install chromium; or set CHROMIUM to its path)", allow_module_level=True)
@@ -202,6 +203,16 @@ def check_threshold(page) -> None:
     assert float(lab.run_code(page, "print(bench.panel['adaptive_pca.valid_max'].value)")) == pytest.approx(dragged)
     line.press("ArrowUp")
     assert lab.wait_until(page, lambda: valid_max() == pytest.approx(dragged * 10**0.05, rel=1e-3)), "the key does nothing"
+
+
+@pytest.mark.slow
+def test_a_cell_that_raises_is_noticed(page, tmp_path):
+    """What every other test here relies on."""
+    nbformat.write(lab.notebook_of("print(1)", "1 / 0"), tmp_path / "raises.ipynb")
+    with lab.jupyter_lab(tmp_path) as address:
+        lab.open_notebook(page, address, "raises.ipynb")
+        with pytest.raises(AssertionError, match="ZeroDivisionError: division by zero"):
+            lab.run_cells(page, 1)
 
 
 @pytest.mark.slow

@@ -35,6 +35,6 @@ def test_a_head_saved_by_the_live_notebooks_button_opens_in_others(tmp_path):
             face = page.locator(".adaptiveface-face").first
             face.scroll_into_view_if_needed()
             assert lab.pixels(face).std() > 15
-            assert sources.errors(page) == []
+            assert lab.errors(page) == []
             lab.shut_down(page)
         assert page.problems == []
