@@ -18,7 +18,7 @@ TASK = (
 
 
 @drawn(seed=4, count=8)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Correlated normal equations with none, some or many bounds active; later ones with bounds other than 0, 1."""
     a = int(rng.integers(4, 24))
     jacobian = rng.normal(size=(3 * a, a)) + 0.8 * rng.normal(size=(3 * a, 1))
@@ -158,12 +158,12 @@ BOUNDED_LEAST_SQUARES = Exercise(
     TASK,
     HINTS,
     MISTAKES,
-    random_cases,
+    cases,
     truth,
     parse,
     near,
-    faults,
     describe,
     make_stages,
+    faults,
     iterative=True,
 )

@@ -17,7 +17,7 @@ TASK = (
 
 
 @drawn(seed=15, count=5)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Bumpy patches with a border and some obtuse angles."""
     rows, columns = int(rng.integers(3, 7)), int(rng.integers(3, 7))
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -149,5 +149,5 @@ HINTS = (
 )
 
 COTANGENT_MATRIX = Exercise(
-    "cotangent_matrix", "05_laplacian_deformation", TASK, HINTS, MISTAKES, random_cases, truth, parse, close, faults
+    "cotangent_matrix", "05_laplacian_deformation", TASK, HINTS, MISTAKES, cases, truth, parse, close, faults=faults
 )

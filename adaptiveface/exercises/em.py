@@ -18,7 +18,7 @@ TASK = (
 
 
 @drawn(seed=6, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Samples with a decaying spectrum and a mean, guesses of M that are orthonormal in every other case."""
     d, k, s = 3 * int(rng.integers(20, 80)), int(rng.integers(2, 8)), int(rng.integers(12, 40))
     shapes = np.linalg.qr(rng.normal(size=(d, s)))[0]
@@ -178,12 +178,12 @@ EM_STEP = Exercise(
     TASK,
     HINTS,
     MISTAKES,
-    random_cases,
+    cases,
     truth,
     parse,
     near,
-    faults,
     describe,
     make_stages,
+    faults,
     _FEW_SHAPES,
 )

@@ -125,9 +125,9 @@ class Exercise:
     truth: Callable[..., Any]
     parse: Callable[[Any, Case], Any]
     near: Callable[[Any, Any, Case], bool]
-    faults: Callable[[Any, Case], list[str]] = lambda answer, case: []
     describe: Callable[[Any, Any, Case], str] = lambda answer, truth, case: scale_hint(answer, truth)
     make_stages: Callable[[Callable], Stages] | None = None
+    faults: Callable[[Any, Case], list[str]] = lambda answer, case: []
     parameters: Parameters | None = None
     iterative: bool = False
     limit: float = TIME_LIMIT

@@ -15,7 +15,7 @@ TASK = (
 
 
 @drawn(seed=12, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Few or many distances, so that the prior decides much or little."""
     k = int(rng.integers(4, 20))
     m = int(rng.integers(k // 2, 6 * k))
@@ -76,4 +76,4 @@ HINTS = (
     "(J^T J / sigma^2 + I) change = -(J^T distances / sigma^2 + identity).",
 )
 
-IDENTITY_STEP = Exercise("identity_step", "01_neutral_scan", TASK, HINTS, MISTAKES, random_cases, identity_step, parse, close)
+IDENTITY_STEP = Exercise("identity_step", "01_neutral_scan", TASK, HINTS, MISTAKES, cases, identity_step, parse, close)

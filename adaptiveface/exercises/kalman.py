@@ -18,7 +18,7 @@ TASK = (
 
 
 @drawn(seed=14, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """States with velocities, covariances with correlation, noises of different size."""
     a, root = int(rng.integers(3, 24)), rng.normal(size=(2, 2))
     return dict(
@@ -111,5 +111,5 @@ HINTS = (
 )
 
 KALMAN_STEP = Exercise(
-    "kalman_step", "04_blendshape_fit", TASK, HINTS, MISTAKES, random_cases, kalman_step, parse, close, make_stages=make_stages
+    "kalman_step", "04_blendshape_fit", TASK, HINTS, MISTAKES, cases, kalman_step, parse, close, make_stages=make_stages
 )

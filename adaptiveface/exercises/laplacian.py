@@ -34,7 +34,7 @@ class FeaturePull:
 
 
 @drawn(seed=5, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Random vertices, a fifth without depth, and features that share corners."""
     n, f, r = int(rng.integers(30, 120)), int(rng.integers(5, 40)), int(rng.integers(2, 4))
     normals = rng.normal(size=(n, 3))
@@ -230,15 +230,5 @@ HINTS = (
 )
 
 RIGHT_HAND_SIDE = Exercise(
-    "right_hand_side",
-    "05_laplacian_deformation",
-    TASK,
-    HINTS,
-    MISTAKES,
-    random_cases,
-    truth,
-    parse,
-    near,
-    describe=describe,
-    make_stages=make_stages,
+    "right_hand_side", "05_laplacian_deformation", TASK, HINTS, MISTAKES, cases, truth, parse, near, describe, make_stages
 )

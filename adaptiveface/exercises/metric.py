@@ -16,7 +16,7 @@ TASK = (
 
 
 @drawn(seed=18, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Faces of which a part moves, in frames that move more or less; the tracker follows with an error."""
     f, n = int(rng.integers(4, 12)), int(rng.integers(20, 60))
     true = rng.normal(size=(f, n, 3)) * rng.uniform(0, 4, (1, n, 1)) * rng.uniform(0.2, 1.5, (f, 1, 1))
@@ -94,4 +94,4 @@ HINTS = (
     "sum |tracked - true| / sum |true| over the pairs with |true| > threshold.",
 )
 
-ACTIVE_SHARE = Exercise("active_share", "08_evaluation", TASK, HINTS, MISTAKES, random_cases, truth, parse, close)
+ACTIVE_SHARE = Exercise("active_share", "08_evaluation", TASK, HINTS, MISTAKES, cases, truth, parse, close)

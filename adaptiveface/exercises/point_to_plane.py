@@ -22,7 +22,7 @@ _TURNED_BACK = "the rotation turns the wrong way: it is the transpose, or the cr
 
 
 @drawn(seed=3, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Bulging patches in front of the camera, moved a little, with noise, slid targets and outliers of zero weight."""
     n = int(rng.integers(60, 300))
     normals = rng.normal(size=(n, 3)) - [0, 0, 1.5]
@@ -213,16 +213,5 @@ HINTS = (
 )
 
 POINT_TO_PLANE_STEP = Exercise(
-    "point_to_plane_step",
-    "03_rigid_tracking",
-    TASK,
-    HINTS,
-    MISTAKES,
-    random_cases,
-    truth,
-    parse,
-    near,
-    faults,
-    describe,
-    make_stages,
+    "point_to_plane_step", "03_rigid_tracking", TASK, HINTS, MISTAKES, cases, truth, parse, near, describe, make_stages, faults
 )

@@ -16,7 +16,7 @@ TASK = (
 
 
 @drawn(seed=17, count=9)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Samples inside the thresholds, below and above them."""
     size, a, k = 3 * int(rng.integers(20, 60)), int(rng.integers(3, 9)), int(rng.integers(1, 6))
     basis = np.linalg.qr(rng.normal(size=(size, a + k)))[0]
@@ -81,4 +81,4 @@ HINTS = (
     "v = M_A M_A^T d + M_K M_K^T d; s = d - M_A M_A^T d; energy = s.s / 100; valid = low < energy < high.",
 )
 
-PROJECT = Exercise("project", "06_incremental_pca", TASK, HINTS, MISTAKES, random_cases, project, parse, close)
+PROJECT = Exercise("project", "06_incremental_pca", TASK, HINTS, MISTAKES, cases, project, parse, close)

@@ -15,7 +15,7 @@ TASK = (
 
 
 @drawn(seed=19, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Few expressions at work, and motion that none of them holds."""
     a = int(rng.integers(5, 20))
     basis = rng.normal(size=(4 * a, a)) + 0.6 * rng.normal(size=(4 * a, 1))
@@ -108,4 +108,4 @@ HINTS = (
     "minimise x^T H x / 2 - g^T x over 0 <= x <= 1 with H = B^T B and g = B^T d - w.",
 )
 
-RESOLVE = Exercise("resolve", "09_retargeting", TASK, HINTS, MISTAKES, random_cases, solve, parse, near, faults, iterative=True)
+RESOLVE = Exercise("resolve", "09_retargeting", TASK, HINTS, MISTAKES, cases, solve, parse, near, faults=faults, iterative=True)

@@ -14,7 +14,7 @@ TASK = (
 
 
 @drawn(seed=13, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Maps near and far from rotations."""
     g = int(rng.integers(5, 40))
     rotations = np.linalg.qr(rng.normal(size=(g, 3, 3)))[0]
@@ -70,4 +70,4 @@ HINTS = (
     "with G = A^T A: G12^2 + G13^2 + G23^2 + (1 - G11)^2 + (1 - G22)^2 + (1 - G33)^2.",
 )
 
-RIGIDITY_ENERGY = Exercise("rigidity", "01_neutral_scan", TASK, HINTS, MISTAKES, random_cases, rigidity, parse, close)
+RIGIDITY_ENERGY = Exercise("rigidity", "01_neutral_scan", TASK, HINTS, MISTAKES, cases, rigidity, parse, close)

@@ -15,7 +15,7 @@ TASK = (
 
 
 @drawn(seed=16, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Laplacians that are not symmetric, as one restricted to a region is not; weights of different size."""
     n = int(rng.integers(8, 30))
     weights = rng.uniform(0.2, 1.5, (n, n)) * (rng.random((n, n)) < 0.4)
@@ -72,5 +72,5 @@ HINTS = (
 )
 
 SOLVE_DEFORMATION = Exercise(
-    "solve_deformation", "05_laplacian_deformation", TASK, HINTS, MISTAKES, random_cases, solve_deformation, parse, close
+    "solve_deformation", "05_laplacian_deformation", TASK, HINTS, MISTAKES, cases, solve_deformation, parse, close
 )

@@ -16,7 +16,7 @@ TASK = (
 
 
 @drawn(seed=21, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Triangles of a few millimetres, stretched, sheared and turned."""
     t = int(rng.integers(4, 30))
     neutral = 3.0 * rng.normal(size=(t, 3, 3)) + 40 * rng.normal(size=(t, 1, 3))
@@ -91,6 +91,4 @@ HINTS = (
     "n = (b - a) x (c - a), V = [b - a, c - a, n / sqrt(|n|)] as columns, S = V' V^-1.",
 )
 
-DEFORMATION_GRADIENT = Exercise(
-    "deformation_gradient", "02_blendshapes", TASK, HINTS, MISTAKES, random_cases, truth, parse, close
-)
+DEFORMATION_GRADIENT = Exercise("deformation_gradient", "02_blendshapes", TASK, HINTS, MISTAKES, cases, truth, parse, close)

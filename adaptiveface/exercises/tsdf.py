@@ -16,7 +16,7 @@ TASK = (
 
 
 @drawn(seed=11, count=6)
-def random_cases(rng: np.random.Generator, number: int) -> Case:
+def cases(rng: np.random.Generator, number: int) -> Case:
     """Voxels in front of, near and behind the skin; some were never seen, some are seen at a grazing angle."""
     n, truncation = int(rng.integers(60, 200)), float(rng.uniform(3.0, 9.0))
     weight = np.where(rng.random(n) < 0.3, 0.0, rng.uniform(0.2, 8.0, n))
@@ -120,4 +120,4 @@ HINTS = (
     "(weight + cosine), weight <- weight + cosine.",
 )
 
-TSDF_INTEGRATION = Exercise("integrate", "01_neutral_scan", TASK, HINTS, MISTAKES, random_cases, integrate, parse, close)
+TSDF_INTEGRATION = Exercise("integrate", "01_neutral_scan", TASK, HINTS, MISTAKES, cases, integrate, parse, close)

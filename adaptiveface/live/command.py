@@ -1,4 +1,4 @@
-"""``adaptiveface live``: from a sensor's name to a tracked face, in the notebook or, ``--headless``, in the terminal."""
+"""Run ``adaptiveface live``: track the face that a sensor sees, in the notebook or, with ``--headless``, in the terminal."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .status import StatusLine
 NOTEBOOK = "live_sensor.ipynb"
 #: What the notebook reads: the sensor's name and the file of the rig.
 SENSOR_VARIABLE, ACTOR_VARIABLE = "ADAPTIVEFACE_SENSOR", "ADAPTIVEFACE_ACTOR"
-#: Results kept before their storage grows.
+#: Number of results for which there is room before the storage grows.
 FIRST_RESULTS = 900
 DEGRADED = "no depth: a degraded mode; sizes and distances are guesses, and nothing is learned"
 
@@ -63,7 +63,7 @@ def _open_notebook(args: argparse.Namespace) -> int:
     if given:
         raise ParameterError(f"{', '.join(given)}: only with --headless; the notebook has buttons and sliders for it")
     if args.actor is not None:
-        Actor.load(args.actor)  # a wrong file ends here, not in the browser
+        Actor.load(args.actor)  # a wrong file is an error here, not in the browser
         os.environ[ACTOR_VARIABLE] = str(args.actor.resolve())
     if args.sensor is not None:
         name, flipped = split_mirrored(args.sensor)
@@ -73,7 +73,7 @@ def _open_notebook(args: argparse.Namespace) -> int:
 
 
 class _Headless:
-    """One run in the terminal: scan if no rig is given, track until the end, and save everything."""
+    """A run in the terminal: scan the neutral if no rig is given, track until the end, and save everything."""
 
     def __init__(self, args: argparse.Namespace, parameters: Parameters) -> None:
         self.args, self.parameters, self.line = args, parameters, StatusLine()
@@ -99,7 +99,7 @@ class _Headless:
         self._destinations, self._avatar = addresses(self.args), avatar(self.args)
 
     def run(self) -> int:
-        """Until the end of the recording, of ``--seconds``, or Ctrl-C; the exit status."""
+        """Run until the recording or ``--seconds`` are over, or until Ctrl-C. Returns the exit status."""
         with ExitStack() as stack:
             sensor = stack.enter_context(open_sensor(self.args.sensor))
             ctrl_c = stack.enter_context(CtrlC())
@@ -164,7 +164,7 @@ class _Headless:
             self.line.show(f"{step} {share:.0%}")
 
     def _prepare(self, run: LiveRun) -> None:
-        """Save the head, which is known now, and get ready for the first result."""
+        """Save the head, which has just been built, and prepare for the first result."""
         self.line.end()
         if self.args.save_actor is not None:
             run.actor.save(self.args.save_actor)
@@ -191,7 +191,7 @@ class _Headless:
         finally:
             statistics = str(session.statistics)
             try:
-                self._save(session)  # before anything is printed: nobody may be there to read it
+                self._save(session)  # before anything is printed, because printing may fail
             finally:
                 self.line.end(statistics)
         statistics, name = session.statistics, session.feed.sensor.name
@@ -253,7 +253,7 @@ class _Headless:
 
 
 def run_live_stream(args: argparse.Namespace, parameters: Parameters) -> int:
-    """``adaptiveface stream SENSOR``: as ``live --headless --vmc``, until Ctrl-C."""
+    """``adaptiveface stream SENSOR``: do what ``live --headless --vmc`` does, until Ctrl-C."""
     from ..export.stream import VMC_PORT
 
     values = dict(vars(args), sensor=args.source, headless=True, out=None, save_actor=None, record=None, seconds=None)

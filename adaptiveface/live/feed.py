@@ -1,4 +1,4 @@
-"""The feature thread: it finds the features of the sensor's newest frame."""
+"""Find the features of the sensor's newest frame, in a separate thread."""
 
 from __future__ import annotations
 
@@ -18,20 +18,24 @@ from ..runtime.closing import Closing
 from ..sensors.live import LiveFrame, LiveSensor
 from ..sensors.worker import POLL_SECONDS, Latest, Worker, packaged
 
-#: Longest :meth:`FeatureFeed.close` waits, s. Loading the detector takes longer and then ends in the background.
+#: Longest time that :meth:`FeatureFeed.close` waits, s. Loading the detector takes longer, and ends in the background.
 CLOSE_SECONDS = 0.9
 
 
 class FeatureFeed(Closing):
-    """Frames of ``sensor`` with 2D features, found in a thread of its own; a context manager. The sensor stays open.
+    """The frames of a sensor with 2D features, which a separate thread finds. It is a context manager; the sensor stays open.
 
     Frames that bring features pass unchanged, unless a ``detector`` is given or ``always`` is set: then every colour image
     is searched. Without a ``detector``, one is made for the first frame that needs it, and closed at the end. A
     recording waits until its frames are read.
 
-    ``dropped``: frames whose features were found but which a newer one replaced before they were read. What the
-    detector was too slow for is counted by the sensor (``superseded``). ``detect_ms``: median time of the last
-    detections, 0 without any. ``running``: False once nothing more will come.
+    Attributes
+    ----------
+    dropped : int
+        Frames with features that a newer one replaced before they were read. The sensor counts the frames for which the
+        detector was too slow (``superseded``).
+    running : bool
+        False once no further frame will come.
     """
 
     def __init__(self, sensor: LiveSensor, detector: FeatureDetector | None = None, always: bool = False) -> None:
@@ -50,7 +54,7 @@ class FeatureFeed(Closing):
         return float(np.median(list(self._detect_ms))) if self._detect_ms else 0.0
 
     def read(self, timeout: float = 1.0) -> LiveFrame:
-        """The newest frame that was not read yet, with its features, waiting up to ``timeout`` s for it.
+        """The newest unread frame with its features; waits up to ``timeout`` s for one.
 
         Raises :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
         :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor or the detector failed with.
@@ -58,7 +62,7 @@ class FeatureFeed(Closing):
         return self._frames.read(timeout, self._fresh)
 
     def close(self) -> None:
-        """Stop the thread, within a second; calling it again does nothing. The sensor is left open."""
+        """Stop the thread within a second. The sensor stays open. Calling it again does nothing."""
         self._frames.close()
         self._worker.join(CLOSE_SECONDS)
 
@@ -99,7 +103,7 @@ class FeatureFeed(Closing):
             self.dropped += replaced
 
     def _with_features(self, frame: LiveFrame) -> LiveFrame:
-        """``frame`` with features; turned upright where the detector finds the face turned in the picture."""
+        """``frame`` with features. It is turned upright if the detector finds a turned face."""
         given = frame.features is not None or self.sensor.has_features
         if frame.colour is None or (given and not self._always):
             return frame

@@ -1,7 +1,7 @@
-"""The guided neutral scan: tells a person what to do, and keeps the best frames (paper, section 3, "input").
+"""Guide a person through the neutral scan, and keep the best frames (paper, section 3, "input").
 
-The person looks straight ahead and turns left, right, up and down, about two seconds each. The scan is fed with the frames of
-a live sensor that have 2D features. It has no thread and no view, and takes less than 3 ms a frame.
+The person looks straight ahead, and turns left, right, up and down, for about two seconds each. The scan takes the frames of a
+live sensor with their 2D features. It has neither a thread nor a view, and takes less than 3 ms per frame.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..neutral.fuse import Progress
 from ..parameters import Parameters
 from ..tracking.detection import pose_from_features
 
-#: The steps and what they ask for; left and right are the person's own.
+#: The steps, and what they ask the person to do; left and right are the person's own.
 STEPS = {
     "straight": "look straight at the camera, with a relaxed face",
     "left": "turn your head slowly to your left",
@@ -30,26 +30,37 @@ STEPS = {
     "up": "lift your chin slowly",
     "down": "lower your chin slowly",
 }
-#: Degrees that count as fully turned and nodded; half of it is enough not to be warned about.
+#: Angles that count as fully turned and fully nodded, degrees. Half of them suffices to avoid a warning.
 TURN, NOD, ENOUGH = 20.0, 10.0, 0.5
-#: Good frames that the first step, and the whole scan, need at least.
+#: Smallest numbers of good frames for the first step, and for the whole scan.
 STRAIGHT_FRAMES, MIN_FRAMES = 10, 10
-#: Degrees of turning beyond which nothing is said about the expression.
+#: Beyond this turn, the expression is not judged, degrees.
 PROFILE = 40.0
-#: The face's distance to the camera, mm.
+#: Nearest and farthest distance of the face from the camera, mm.
 NEAR, FAR = 220.0, 1000.0
-#: A face whose eyes are closer together than this in the picture has too few pixels.
+#: A face whose eyes are closer together in the picture is too small, px.
 MIN_EYE_PIXELS = 45.0
-#: Eye distances a second beyond which the head moves too fast; sharpness against its own median below which it blurs.
+#: Fastest motion of the head, eye distances per second; smallest sharpness, relative to its median.
 FAST, BLURRED = 4.0, 0.45
-#: A vertex that this many frames saw counts as covered; depth this near to the expected one counts as the face's, mm.
+#: A vertex that so many frames saw is covered. Depth within this distance of the expected one belongs to the face, mm.
 VIEWS, REACH = 6, 25.0
 
 
 @dataclass(frozen=True)
 class Guidance:
-    """What to tell the person. ``step``: a key of ``STEPS`` or "done"; ``progress`` 0..1; ``coverage``: share of every
-    step's target; ``warnings``: what keeps this frame from being used, or what the finished scan lacks."""
+    """What to tell the person.
+
+    Attributes
+    ----------
+    step : str
+        A key of ``STEPS``, or "done".
+    progress : float
+        0 to 1.
+    coverage : dict
+        Step -> the share of its target that is reached.
+    warnings : tuple of str
+        Why this frame cannot be used, or what the finished scan lacks.
+    """
 
     text: str
     step: str
@@ -61,7 +72,7 @@ class Guidance:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A frame in store: ``cost`` grows with expression and blur; ``clean``: nothing to complain about."""
+    """A frame that was kept. Its ``cost`` grows with expression and blur. A ``clean`` frame caused no warning."""
 
     frame: RgbdFrame
     cost: float
@@ -70,10 +81,17 @@ class _Kept:
 
 
 class GuidedCapture:
-    """Fed frame by frame with :meth:`add` until ``done``; :meth:`build` makes the actor.
+    """A scan in progress: :meth:`add` takes frame after frame until it is ``done``, and :meth:`build` makes the actor.
 
-    ``seconds``: how long the scan takes, by the frames' timestamps, unless every step is done earlier; a face that never
-    looks neutral takes twice as long. ``most``: frames kept at most. ``model``: the embedded one by default.
+    Parameters
+    ----------
+    seconds : float
+        Length of the scan by the frames' timestamps, unless every step is done earlier. A face that never looks neutral takes
+        twice as long.
+    most : int
+        Largest number of frames that are kept.
+    model : FaceModel, optional
+        The embedded one by default.
     """
 
     def __init__(self, seconds: float = 10.0, most: int = 60, model: FaceModel | None = None) -> None:
@@ -96,7 +114,7 @@ class GuidedCapture:
     # ---- what a view shows -----------------------------------------------------------------------------------------
     @property
     def frames(self) -> list[RgbdFrame]:
-        """The frames to build from, in order: the clean ones where there are enough."""
+        """The frames to build from, in order: only clean ones if there are enough."""
         clean = [kept.frame for kept in self._kept if kept.clean]
         chosen = clean if len(clean) >= MIN_FRAMES else [kept.frame for kept in self._kept]
         return sorted(chosen, key=lambda frame: frame.index)
@@ -123,7 +141,7 @@ class GuidedCapture:
 
     # ---- one frame -------------------------------------------------------------------------------------------------
     def add(self, frame: RgbdFrame) -> Guidance:
-        """Judge and perhaps keep a frame; returns what to say. After the end nothing is added."""
+        """Judge a frame, and keep it if it is good. Returns what to tell the person. A scan that is done adds nothing."""
         if self._finished:
             return self._guidance(())
         self.frames_seen += 1
@@ -137,7 +155,7 @@ class GuidedCapture:
         return self._guidance(warnings)
 
     def finish(self) -> Guidance:
-        """Stop with the frames that there are. Raises :class:`TrackingError` when no frame shows a face."""
+        """Stop the scan with the frames so far. Raises :class:`TrackingError` if none shows a face."""
         if not self._kept:
             raise TrackingError(
                 f"none of the {self.frames_seen} frames so far shows a face with depth; nothing to build a head from"
@@ -146,13 +164,15 @@ class GuidedCapture:
         return self._guidance(())
 
     def build(self, parameters: Parameters | None = None, progress: Progress | None = None) -> Actor:
-        """The actor from the frames kept, some seconds of work; arguments as for
-        :func:`~adaptiveface.neutral.capture.capture_actor`, which see for the errors."""
+        """Build the actor from the frames that were kept, which takes some seconds.
+
+        Arguments and errors are those of :func:`~adaptiveface.neutral.capture.capture_actor`.
+        """
         return capture_actor(self.frames, self.model, parameters or Parameters(), progress)
 
     # ---- judging ---------------------------------------------------------------------------------------------------
     def _judge(self, frame: RgbdFrame) -> tuple[tuple[str, ...], tuple[Expression, float] | None]:
-        """Warnings, and (expression, blur 0..1) of a face that can be used at all."""
+        """Warnings about a frame, and (expression, blur from 0 to 1) if its face can be used."""
         self.pose = None
         if not frame.depth.any():
             return ("no depth: the sensor measures nothing",), None
@@ -196,7 +216,7 @@ class GuidedCapture:
         return float(np.median(moved) / unit / (frame.timestamp - last[0])) if len(moved) else 0.0
 
     def _advance(self, frame: RgbdFrame) -> float:
-        """Seconds since the frame before, at most half a second: device clocks jump."""
+        """Seconds since the previous frame, at most half a second because device clocks jump."""
         last, self._clock = self._clock, frame.timestamp
         return 0.0 if last is None else float(np.clip(frame.timestamp - last, 0.0, 0.5))
 
@@ -216,7 +236,7 @@ class GuidedCapture:
 
     def _record(self, yaw: float, pitch: float) -> None:
         for name, angle in (("left", yaw), ("right", -yaw), ("up", pitch), ("down", -pitch)):
-            best = self._farthest[name]  # the third largest counts: single outliers do not
+            best = self._farthest[name]  # the third largest counts, so that single outliers do not matter
             self._farthest[name] = sorted([*best, angle])[-3:]
 
     def _count_views(self, frame: RgbdFrame) -> None:
@@ -238,7 +258,7 @@ class GuidedCapture:
 
     # ---- steps -----------------------------------------------------------------------------------------------------
     def _next_step(self) -> None:
-        """Go from a step that is reached, or has used its share of the time, to the next one that is not reached."""
+        """If a step is reached or its time is over, go to the next one that is not reached."""
         coverage, names = self.coverage, list(STEPS)
         waited = self._elapsed - self._step_began
         if coverage[self._step] < 1 and (waited < self.seconds / len(STEPS) or not self._level):

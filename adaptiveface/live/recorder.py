@@ -1,4 +1,4 @@
-"""Recording beside tracking: every frame that the sensor delivers, whether or not detector and tracker keep up."""
+"""Record every frame that the sensor delivers during tracking, even if detector and tracker do not keep up."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ..sensors.recording import RecordingWriter
 class LiveRecorder:
     """Writes every frame of ``sensor`` from now on to the new ``folder``, until :meth:`close`.
 
-    A frame that finds the disk too slow is counted (``refused``), an error (a full disk, another image size) stops the
-    recording and nothing else: ``error`` holds it, and :meth:`close` raises it. What was written until then stays.
+    Frames for which the disk is too slow are counted (``refused``). An error (a full disk, another image size) stops only the
+    recording. ``error`` holds it, and :meth:`close` raises it. What was written until then stays.
     Raises :class:`AdaptiveFaceError` for a folder that cannot be used, :class:`SensorError` for a sensor without depth.
     """
 
@@ -50,7 +50,7 @@ class LiveRecorder:
                 self.error = error if isinstance(error, AdaptiveFaceError) else FileFormatError(str(error))
 
     def close(self) -> RecordingSummary:
-        """Write what is queued; calling it again only returns the summary. Raises ``error`` the first time."""
+        """Write what is queued, and raise ``error`` if there is one. Calling it again only returns the summary."""
         self.sensor.remove_listener(self._write)
         with self._lock:
             first, self._closed = not self._closed, True

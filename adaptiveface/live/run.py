@@ -1,4 +1,4 @@
-"""From a sensor's name to a tracked face: open, scan the neutral, build the head, track; one object for any view."""
+"""Run everything behind a live view: open a sensor, scan the neutral, build the head, and track."""
 
 from __future__ import annotations
 
@@ -19,25 +19,32 @@ from .guided import Guidance, GuidedCapture
 from .scan import Cancelled, NeutralScan
 from .session import LiveResult, LiveSession
 
-#: Longest :meth:`LiveRun.close` waits for the step in hand, s. What takes longer ends in the background.
+#: Longest time that :meth:`LiveRun.close` waits for the current step, s. After that, it ends in the background.
 CLOSE_SECONDS = 1.0
 
-#: What a run is doing, in this order; FAILED and CLOSED end it. STARTING: the head is known and not tracked yet.
+#: The states of a run, in their order. FAILED and CLOSED end it. When STARTING, the head is built but not tracked yet.
 OPENING, SCANNING, BUILDING, STARTING, TRACKING = "opening", "scanning", "building", "starting", "tracking"
 FAILED, CLOSED = "failed", "closed"
 
 
 class LiveRun(Closing):
-    """A sensor (an open one, or a name for :func:`open_sensor`) and everything behind it; a context manager.
+    """A sensor and everything behind it. It is a context manager.
 
-    ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``state`` is one of
-    the constants above; ``error`` says why it is ``FAILED``. While scanning, ``guide`` and ``guidance`` tell how far it
-    is and ``frame`` is what the sensor saw; while building, ``progress`` is the step and the share done; when starting,
-    ``actor`` is the head; from then on ``session`` tracks. ``detect``: MediaPipe looks for features even where the sensor
-    brings its own. An open sensor stays open after :meth:`close`; one that was opened here is closed.
+    ``state`` is one of the constants above, and ``error`` says why it is ``FAILED``. During the scan, ``guide`` and
+    ``guidance`` tell how far it is, and ``frame`` is what the sensor saw. While the head is built, ``progress`` is the step
+    and the share of it that is done. Then ``actor`` is the head, and ``session`` tracks it.
 
-    A view polls all this, or gives ``watch``: called with the run, on the run's thread, at every change of it until it
-    tracks (results come by :meth:`on_result`, which when starting still sees every one). What it raises fails the run.
+    A view polls all this, or passes ``watch``. This is called with the run, on the run's thread, at every change until tracking
+    begins; a function that :meth:`on_result` adds then sees every result. An exception in ``watch`` fails the run.
+
+    Parameters
+    ----------
+    sensor : LiveSensor or str
+        An open sensor, which stays open after :meth:`close`, or a name for :func:`open_sensor`.
+    actor : Actor or path-like, optional
+        The rig, or its file. Without it, the run begins with a neutral scan of ``seconds``.
+    detect : bool
+        Let MediaPipe look for features even if the sensor brings its own.
     """
 
     def __init__(
@@ -68,7 +75,7 @@ class LiveRun(Closing):
     # ---- for views, on any thread ----------------------------------------------------------------------------------
     @property
     def colour_only(self) -> bool:
-        """Whether the sensor measures no depth: the degraded mode, on the average head where no actor is given."""
+        """Whether the sensor measures no depth. Tracking is then degraded, and on the average head if no actor is given."""
         return self.sensor is not None and self.sensor.colour_only
 
     @property
@@ -109,15 +116,15 @@ class LiveRun(Closing):
             self._parameters = parameters
 
     def finish_scan(self) -> None:
-        """End the neutral scan: build from the frames that there are, or from the first usable one."""
+        """End the neutral scan, and build the head from the frames so far, or from the first usable one."""
         scan = self._scan
         if scan is not None:
             scan.finish()
 
     def relearn(self) -> None:
-        """Scan the neutral face again, then go on tracking with the new head. Does nothing where that is going on.
+        """Scan the neutral face again, and then track with the new head. During a scan, this does nothing.
 
-        Raises :class:`TrackingError` at the end of a recording, and leaves everything as it is.
+        At the end of a recording, it raises :class:`TrackingError`, and changes nothing.
         """
         session = self.session
         if self.state != TRACKING or session is None:
@@ -130,7 +137,7 @@ class LiveRun(Closing):
         self._start(self._scan_and_track)
 
     def on_result(self, callback: Callable[[LiveResult], None]) -> Callable[[], None]:
-        """Call ``callback`` with every result, also after relearning; returns a function that ends this."""
+        """Call ``callback`` with every result, also after relearning. Returns a function that stops this."""
         with self._lock:
             self._callbacks.append(callback)
             if self.session is not None:
@@ -147,16 +154,16 @@ class LiveRun(Closing):
         return remove
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it tracks, at most ``timeout`` s; returns whether it does. Raises what it failed with."""
+        """Wait up to ``timeout`` s until it tracks, and return whether it does. Raises the error of a failed run."""
         self._worker.join(timeout)
         if self.error is not None:
             raise self.error
         return self.state == TRACKING
 
     def close(self) -> None:
-        """Stop every thread, within a few seconds; calling it again does nothing.
+        """Stop every thread within a few seconds. Calling it again does nothing.
 
-        A sensor that is just being opened is closed as soon as its library lets go.
+        A sensor that is being opened is closed as soon as its library returns.
         """
         with self._lock:
             self._closed, scan = True, self._scan

@@ -1,4 +1,4 @@
-"""The neutral scan, from a feed's frames to a head: guided with depth, and only the proportions without depth.
+"""Scan the neutral face: make a head from a feed's frames. Without depth, only its proportions are measured.
 
 It runs on the caller's thread, without a view. :class:`~adaptiveface.live.run.LiveRun` drives it.
 """
@@ -24,16 +24,27 @@ SILENCE_SECONDS = 1.0
 COLOUR_FRAMES = 30
 
 
-class Cancelled(Exception):  # noqa: N818 - somebody's wish, not a failure
+class Cancelled(Exception):  # noqa: N818 - it was requested, and is not an error
     """The scan was cancelled."""
 
 
 class NeutralScan:
-    """One neutral scan of what ``feed`` delivers, ``seconds`` long: :meth:`collect`, then :meth:`build`.
+    """A neutral scan of what ``feed`` delivers for ``seconds``: :meth:`collect`, then :meth:`build`.
 
-    ``watch()`` is called after every frame, message and step of the work. ``guidance``: what to tell the person, None
-    before the first frame; ``guide``: the coverage behind it, None without depth; ``frame``: what the sensor saw;
-    ``message``: what is wrong with the sensor, or ""; ``progress``: step of :meth:`build` and share done.
+    ``watch()`` is called after every frame, message and step of the work.
+
+    Attributes
+    ----------
+    guidance : Guidance or None
+        What to tell the person; None before the first frame.
+    guide : GuidedCapture or None
+        The coverage behind it; None without depth.
+    frame : LiveFrame or None
+        What the sensor saw.
+    message : str
+        What is wrong with the sensor, or "".
+    progress : tuple
+        The step of :meth:`build`, and the share of it that is done.
     """
 
     def __init__(self, feed: FeatureFeed, seconds: float = 10.0, watch: Callable[[], None] = lambda: None) -> None:
@@ -48,11 +59,11 @@ class NeutralScan:
 
     # ---- from any thread -------------------------------------------------------------------------------------------
     def finish(self) -> None:
-        """End the scan: build from the frames that there are, or from the first usable one."""
+        """End the scan, and build from the frames so far, or from the first usable one."""
         self._enough = True
 
     def cancel(self) -> None:
-        """End :meth:`collect` or :meth:`build` with :class:`Cancelled`, as soon as the step in hand is done."""
+        """End :meth:`collect` or :meth:`build` with :class:`Cancelled` after the current step."""
         self._cancelled = True
 
     # ---- the work --------------------------------------------------------------------------------------------------
@@ -74,7 +85,7 @@ class NeutralScan:
             self._watch()
 
     def build(self, parameters: Parameters) -> Actor:
-        """The head, after some seconds; raises :class:`TrackingError` or :class:`Cancelled`."""
+        """Build the head, which takes some seconds. Raises :class:`TrackingError` or :class:`Cancelled`."""
         with one_blas_thread():
             if self.guide is None:
                 return capture_colour_actor(self._faces, parameters=parameters)
@@ -90,7 +101,7 @@ class NeutralScan:
         self._watch()
 
     def _read(self) -> LiveFrame | None:
-        """The newest frame, or None for a moment without."""
+        """The newest frame, or None if there is none at the moment."""
         try:
             frame = self.feed.read(POLL_SECONDS)
         except EndOfRecording:
@@ -123,7 +134,7 @@ class NeutralScan:
         return Guidance(STEPS["straight"], "straight", min(share, 1.0), {}, warnings, done)
 
     def _finished(self) -> Guidance:
-        """The recording is over: go on with the frames that there are."""
+        """Go on with the frames so far, because the recording is over."""
         if self.guide is not None:
             return self.guide.finish()
         if not self._faces:

@@ -1,4 +1,4 @@
-"""The tracker thread: it tracks the newest frame with features, whether or not anything displays the result."""
+"""Track the newest frame with features in a separate thread, whether or not anything displays the result."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ..tracking.types import TrackedFrame
 from .feed import FeatureFeed
 from .statistics import LiveStatistics, Meter
 
-#: Longest :meth:`LiveSession.close` waits for the frame in hand, s.
+#: Longest time that :meth:`LiveSession.close` waits for the current frame, s.
 CLOSE_SECONDS = 0.9
 #: After this long without a frame (s), the session says so.
 SILENCE_SECONDS = 1.0
-#: The session ends when the tracker itself fails on so many frames in a row: it will not recover.
+#: The session ends when the tracker itself fails on so many frames in a row, because it will not recover.
 MOST_FAILURES = 30
 
 
 @dataclass(frozen=True)
 class LiveResult:
-    """One tracked frame. ``index`` counts the session's results; ``latency_ms``: arrival at the host -> tracked mesh."""
+    """A tracked frame. ``index`` counts the session's results. ``latency_ms`` is the time from its arrival to its mesh."""
 
     index: int
     frame: LiveFrame
@@ -39,12 +39,12 @@ OnResult = Callable[[LiveResult], None]
 
 
 class LiveSession:
-    """Tracks the frames of ``feed`` in a thread of its own; a context manager. Feed and sensor stay open.
+    """Tracks the frames of ``feed`` in a separate thread. It is a context manager; feed and sensor stay open.
 
-    ``on_result``: called with every :class:`LiveResult` on the tracker's thread; one that raises is not called again.
-    Errors of that kind are raised, once each, by the next :meth:`latest` or :meth:`close`; tracking goes on. A sensor
-    that is gone is only a message (:attr:`statistics`): the session goes on when it is back. ``running``: False once no
-    further result will come; ``ended``: because the recording is over.
+    The functions ``on_result`` are called with every :class:`LiveResult`, on the tracker's thread. One that raises is not
+    called again. The next :meth:`latest` or :meth:`close` raises its error once, and tracking goes on. If the sensor is
+    disconnected, :attr:`statistics` says so, and the session goes on when it is back. ``running`` is False once no further
+    result will come; ``ended`` is True if that is because the recording is over.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class LiveSession:
 
     # ---- for readers, on any thread --------------------------------------------------------------------------------
     def latest(self, after: int = -1, timeout: float = 0.0) -> LiveResult | None:
-        """The newest result if its index is larger than ``after``, waiting up to ``timeout`` s for it; else None.
+        """The newest result whose index is larger than ``after``, or None after waiting ``timeout`` s.
 
         Raises what a thread of the session failed with, as an error of the package.
         """
@@ -112,7 +112,7 @@ class LiveSession:
             self._callbacks += (callback,)
 
     def remove_callback(self, callback: OnResult) -> None:
-        """Stop calling ``callback``; one that is not there is no error."""
+        """Stop calling ``callback``. An unknown one is ignored."""
         with self._changed:
             self._callbacks = tuple(known for known in self._callbacks if known != callback)
 
@@ -211,7 +211,7 @@ class LiveSession:
     def _track(self, frame: LiveFrame) -> TrackedFrame:
         try:
             tracked = self._tracker.track(frame)
-        except Exception as error:  # one frame that breaks the numerics is lost, not the session
+        except Exception as error:  # a frame that breaks the numerics is lost, but the session goes on
             self._failures += 1
             lost = failure(error, f"frame {frame.index} cannot be tracked", TrackingError)
             if self._failures >= MOST_FAILURES:
@@ -244,7 +244,7 @@ class LiveSession:
 
     def _fail(self, error: AdaptiveFaceError) -> None:
         if self._results.closed and isinstance(error, SensorError):
-            return  # closed in the wrong order: nothing is lost
+            return  # the feed was closed first, which loses nothing
         with self._changed:
             self._fatal = error
             self._errors.append(error)

@@ -1,4 +1,4 @@
-"""Statistics of a live session: rate, latency, lost frames, and the current message."""
+"""Collect the statistics of a live session: rate, latency, lost frames, and the current message."""
 
 from __future__ import annotations
 
@@ -18,11 +18,24 @@ WINDOW_SECONDS = 5.0
 
 @dataclass(frozen=True)
 class LiveStatistics:
-    """``fps`` tracked results per second, ``latency_ms_p50`` and ``latency_ms_p95`` from the frame's arrival to its mesh,
-    ``detect_ms``, ``track_ms`` (medians): over the last seconds. Since the start: frames that never came out,
-    ``dropped_sensor`` by the device itself, ``dropped_features`` because the detector was busy, ``dropped_tracker``
-    because the tracker was; ``tracked`` and ``lost`` (no face) results. ``message``: what is wrong now, or "".
-    ``held_out``: error of the worst region of landmarks that no fit used, % of the eyes' distance, NaN where unknown.
+    """Figures of the last seconds, and counts since the start.
+
+    Attributes
+    ----------
+    fps : float
+        Tracked results per second.
+    latency_ms_p50, latency_ms_p95 : float
+        Time from a frame's arrival to its mesh, ms.
+    detect_ms, track_ms : float
+        Medians, ms.
+    dropped_sensor, dropped_features, dropped_tracker : int
+        Frames that were lost by the device, because the detector was busy, and because the tracker was busy.
+    tracked, lost : int
+        Results with and without a face.
+    message : str
+        What is wrong now, or "".
+    held_out : float
+        Error of the worst region of landmarks that no fit used, % of the eyes' distance; NaN where unknown.
     """
 
     fps: float = 0.0
@@ -52,7 +65,7 @@ class LiveStatistics:
 
 
 class Meter:
-    """Collects what the statistics need; written by the tracker's thread, read by any. Losses count from its start."""
+    """Collects what the statistics need. The tracker's thread writes, any thread reads. Losses count from its start."""
 
     def __init__(self, feed: FeatureFeed) -> None:
         self.message, self._feed, self._before = "", feed, _dropped(feed)
@@ -66,7 +79,7 @@ class Meter:
         return time.perf_counter() - self._last
 
     def add(self, latency_ms: float, tracked: TrackedFrame) -> None:
-        """Take note of a result."""
+        """Count a result."""
         self._last = time.perf_counter()
         fit = float(tracked.held_out.max()) if len(tracked.held_out) else np.nan
         self._recent.append((self._last, latency_ms, sum(tracked.stage_ms.values()), fit))
@@ -75,7 +88,7 @@ class Meter:
         self.message = tracked.reason
 
     def statistics(self) -> LiveStatistics:
-        """The figures of this moment."""
+        """The current figures."""
         now = time.perf_counter()
         recent = np.array([row for row in tuple(self._recent) if row[0] > now - WINDOW_SECONDS]).reshape(-1, 4)
         span = min(max(now - self._start, 1e-3), WINDOW_SECONDS)

@@ -1,4 +1,4 @@
-"""A line of text that is rewritten in place in a terminal; in a log file, a new line now and then."""
+"""Show a status: a line that is rewritten in a terminal or, in a log file, a new line now and then."""
 
 from __future__ import annotations
 

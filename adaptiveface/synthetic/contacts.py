@@ -1,4 +1,4 @@
-"""Lids and lips that touch instead of crossing: the one hard rule that a sum of expressions does not know."""
+"""Make lids and lips touch instead of crossing, which a sum of expressions cannot guarantee."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def rings(loop: np.ndarray, triangles: np.ndarray, n_vertices: int, count: int) 
 
 @dataclass(frozen=True)
 class Contact:
-    """Upper rim against lower rim of one opening (n pairs).
+    """The upper and the lower rim of an opening, in n pairs.
 
     upper (n,) vertices; lower (n, V) sparse: the point of the lower rim under each of them; slack (n,) mm: the gap at
     rest where it is negative already; spread_up, spread_down (V, n) sparse: how a push spreads over upper and lower

@@ -125,18 +125,10 @@ def sparse_least_squares(
 
     Parameters
     ----------
-    h : (A, A)
-        Symmetric positive definite.
-    g : (A,)
-        Right-hand side.
     penalty : (A,)
         Not negative.
-    lower, upper : (A,)
-        Bounds.
-    start : (A,), optional
-        A first guess; zeros without.
-    relaxation, sweeps, tolerance : float, int, float
-        Over-relaxation, most sweeps over the coefficients, and the change below which they end.
+    h, g, lower, upper, start, relaxation, sweeps, tolerance
+        As in :func:`bounded_least_squares`.
 
     Returns
     -------
@@ -145,8 +137,8 @@ def sparse_least_squares(
 
     Notes
     -----
-    As :func:`bounded_least_squares`, but each update is soft-thresholded on both sides of zero (coordinate descent,
-    Friedman et al. 2007).
+    The iteration is that of :func:`bounded_least_squares`, except that each update is soft-thresholded on both sides of zero
+    (coordinate descent, Friedman et al. 2007).
     """
     x: np.ndarray = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
     _sparse_relaxation(np.ascontiguousarray(h), g, penalty, lower, upper, x, relaxation, sweeps, tolerance)

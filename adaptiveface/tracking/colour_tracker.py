@@ -1,4 +1,4 @@
-"""Tracking without depth: the 2D features alone drive pose, expression and deformation. Degraded, and it says so.
+"""Track without depth: the 2D features alone drive pose, expression and deformation. The result says that it is degraded.
 
 Where the frames bring the detector's landmarks, those of the actor's set take the place of the 40 features, each weighed by
 its measured reliability: nose and jaw tell a mouth that opens from a head that tips back, which the 40 cannot.

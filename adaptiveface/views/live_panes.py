@@ -1,4 +1,4 @@
-"""The pictures of the live view: input, tracked mesh, character, curves, bars. Each draws at once what it is given."""
+"""Draw the panes of the live view: input, tracked mesh, character, curves and bars."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from .face_view import FaceView
 from .measures import depth_distance
 from .pictures import CameraView, encode, image_widget
 
-#: What the heat map can show, and the one fixed range of each, mm.
+#: What the heat map can show, each with its fixed range, mm.
 ADDED, TO_DEPTH, PLAIN = "v4 - v1: deformation, learning", "distance to the depth map", "none"
 HEAT_LIMITS = (0.0, 3.0)
-#: Frames that the curves reach back.
+#: Number of frames that the curves show.
 HISTORY = 300
 
 
 class MeshPane:
-    """The tracked mesh v4 with a heat map, turned as the head is; before that, how far the neutral scan has come."""
+    """The tracked mesh v4 in the head's pose with a heat map; during the neutral scan, its coverage."""
 
     def __init__(self, size: tuple[int, int] = (270, 290)) -> None:
         self._size, self._view, self._actor, self._gaze = size, None, None, None
@@ -50,7 +50,7 @@ class MeshPane:
         self._draw(model.mean, coverage, pose)
 
     def show(self, actor: Actor, result: LiveResult) -> None:
-        """A tracked frame; a frame that is not tracked leaves the last picture."""
+        """Show a tracked frame. If the frame is not tracked, the last picture stays."""
         if self._actor is not actor:
             self._open(actor, actor.neutral, "tracked mesh v4", HEAT_LIMITS, "mm", True)
             self._gaze = GazeTrack(actor, keep=False)
@@ -85,14 +85,14 @@ class MeshPane:
         self.widget.children = [self._view.widget, *([self.heat] if choices else []), self.follow]
 
     def close(self) -> None:
-        """Send nothing further; the last picture stays."""
+        """Send nothing more. The last picture stays."""
         if self._view is not None:
             self._view.close()
             self._view = self._actor = None
 
 
 class InputPane:
-    """What the sensor sees, with the 2D features and the model over it."""
+    """The sensor's picture, with the 2D features and the model drawn over it."""
 
     def __init__(self, size: tuple[int, int] = (250, 290)) -> None:
         self.camera = CameraView(size, "input: features (yellow), model (blue)")
@@ -162,18 +162,18 @@ class CurvesPane:
         )
 
     def add(self, result: LiveResult) -> None:
-        """Take note of a result for the curves."""
+        """Add a result to the curves."""
         tracked = result.tracked
         self._anchor.append(tracked.anchor_distance if tracked.tracked else np.nan)
         self._adaptive.append(tracked.adaptive_distance if tracked.tracked else np.nan)
 
     def clear(self) -> None:
-        """Forget the curves: another head."""
+        """Clear the curves, because another head is tracked."""
         self._anchor.clear()
         self._adaptive.clear()
 
     def draw(self, actor: Actor, result: LiveResult, detect_ms: float) -> None:
-        """Curves and bars of now."""
+        """Draw the current curves and bars."""
         x = np.arange(1 - len(self._anchor), 1)
         series = {"to anchor space": (x, np.array(self._anchor)), "to adaptive space": (x, np.array(self._adaptive))}
         self.curves.update(**series)
