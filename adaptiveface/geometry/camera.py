@@ -1,4 +1,4 @@
-"""Pinhole camera: x right, y down, z forward, millimetres; pixel centres at integers."""
+"""Define the pinhole camera: x right, y down, z forward, in millimetres, with pixel centres at integers."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from ..errors import FileFormatError, abbreviated
 
-#: Most pixels of a picture: 8K video has 33 million.
+#: Largest number of pixels of a picture. 8K video has 33 million.
 MAX_PIXELS = 1 << 25
 
-#: Field of view, across the longer side, of a camera that brings no calibration, degrees: laptops have 55 to 70.
+#: Assumed field of view of a camera without calibration, across its longer side, degrees. Laptops have 55 to 70.
 FIELD_OF_VIEW = 60.0
 #: Field of view that can be asked for, degrees.
 FIELD_OF_VIEW_RANGE = (10.0, 150.0)
@@ -58,7 +58,7 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def zoomed(self, factor: float) -> Camera:
-        """The same pictures taken with ``factor`` times the focal length."""
+        """The camera with ``factor`` times the focal length."""
         return replace(self, fx=self.fx * factor, fy=self.fy * factor)
 
     def project(self, points: np.ndarray) -> np.ndarray:

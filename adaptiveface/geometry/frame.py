@@ -1,4 +1,4 @@
-"""What a sensor hands over: one RGB-D frame, and the 2D facial features found in it."""
+"""Define an RGB-D frame and the 2D facial features that are found in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Triangle-mesh basics shared by every stage: normals, adjacency, the cotangent Laplacian, sampled surface points.
+"""Compute on triangle meshes what every stage needs: normals, adjacency, the cotangent Laplacian, surface points.
 
 Vertices are (N, 3) float mm, triangles (T, 3) int, counter-clockwise seen from outside.
 """
@@ -21,7 +21,8 @@ def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(N, 3) unit normals, the area-weighted mean over the incident triangles; zero for unused vertices.
 
-    A kernel, since meshes change every frame: the sum over k of :func:`triangle_normals` at ``triangles[:, k]``, normalised.
+    This is the normalised sum over k of :func:`triangle_normals` at ``triangles[:, k]``, compiled because meshes change every
+    frame.
     """
     normals = np.zeros((len(vertices), 3))
     _accumulate_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int64), normals)

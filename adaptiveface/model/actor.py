@@ -1,4 +1,4 @@
-"""The personal rig: everything about one person that tracking needs, saved and loaded as ``actor.npz``."""
+"""Save and load the personal rig, ``actor.npz``: everything about a person that tracking needs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..geometry.polydata import PolyData
     from .face_model import FaceModel
 
-#: A rig of 100,000 vertices and 100 expressions has half of it.
+#: A rig of 100,000 vertices and 100 expressions takes half of it.
 MAX_BYTES = 256 << 20
 #: The detector's landmarks are stored under their own names with this in front.
 _LANDMARK = "landmark_"
@@ -34,9 +34,9 @@ class Actor:
 
     N vertices, T triangles, A expressions; P points of the neutral scan, M identity coefficients.
 
-    ``appearance`` tells how the neutral looks around its features, where they were detected in colour pictures.
-    ``landmarks`` are the detector's other landmarks on this mesh. ``skin`` tells how the whole face looks, from the same
-    pictures as ``appearance``. Each of them may be None.
+    ``appearance`` describes how the neutral looks around its features, if they were detected in colour pictures. ``skin``
+    describes how the whole face looks in the same pictures. ``landmarks`` are the detector's other landmarks on this mesh. Each
+    of the three may be None.
     """
 
     neutral: np.ndarray = array("N 3", doc="neutral face b0, head frame", unit="mm")
@@ -90,7 +90,7 @@ class Actor:
         return surface(self.neutral + moved, self.triangles, displacement=moved, distance=np.linalg.norm(moved, axis=1))
 
     def scan_mesh(self) -> PolyData:
-        """The points of the neutral scan as ``pyvista.PolyData``, axes as in :meth:`mesh`; empty where none were kept."""
+        """The points of the neutral scan as ``pyvista.PolyData``, with the axes of :meth:`mesh`; empty if none were kept."""
         return cloud(self.scan_points, self.scan_normals)
 
     def save(self, path: str | os.PathLike) -> None:
@@ -113,7 +113,7 @@ class Actor:
 
 
 def _check_plausible(path: str | os.PathLike, data: dict) -> None:
-    """Raise :class:`FileFormatError` for arrays that are well formed but describe no face in millimetres."""
+    """Raise :class:`FileFormatError` for well-formed arrays that do not describe a face in millimetres."""
     if not (data["frontal"].any() and len(data["triangles"]) and len(data["blendshapes"])):
         raise FileFormatError(f"{path}: no frontal vertices, no triangles or no blendshapes")
     size = float(np.ptp(data["neutral"][data["frontal"]], axis=0).max())

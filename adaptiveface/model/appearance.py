@@ -1,7 +1,7 @@
-"""What the skin around each 2D feature looks like on the neutral: samples of the surface with their colours.
+"""Describe how the skin around each 2D feature looks on the neutral: samples of the surface with their colours.
 
-The paper's features come from a detector alone. A detector like MediaPipe errs by a pixel in ways that follow the expression
-and the person; its own picture of the neutral tells where a point of the skin really went (``tracking/feature_refinement.py``).
+The paper's features come from a detector alone. A detector such as MediaPipe errs by a pixel, depending on the expression and
+the person. The picture of the neutral tells where a point of the skin really went (``tracking/feature_refinement.py``).
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from ..errors import FileFormatError
 from ..files.records import array, record
 
-#: Gaussian blurs, px, from coarse to fine: the first reaches farther, the last is more exact.
+#: Gaussian blurs from coarse (which reaches farther) to fine (which is more exact), px.
 BLURS = (1.5, 0.0)
-#: Brightness is taken against its surroundings, this blur in px: smooth shading moves over a turning head.
+#: Brightness is relative to its surroundings, a blur of this size, px, because smooth shading moves over a turning head.
 SURROUNDINGS = 4.0
 #: How many units of a channel the whole of a colour share is; of brightness, one unit is one percent.
 CHROMA = 300.0
-#: Grey levels below which a difference is noise.
+#: A difference of fewer grey levels is noise.
 DARK = 8.0
 
 

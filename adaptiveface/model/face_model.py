@@ -1,4 +1,4 @@
-"""The statistical face model: mean head, identity modes, expression units, features (paper, section 3).
+"""Define the statistical face model: mean head, identity modes, expression units and features (paper, section 3).
 
 Shapes: V vertices, T triangles, M identity modes, E expression units, A generic expressions, F = 40 features,
 Q eyeball vertices. Millimetres; head frame with x left-right (the subject's left is +x), y up, z out of the face.
@@ -22,7 +22,7 @@ from .feature_set import FeatureSet, landmark_set
 @record
 @dataclass(frozen=True)
 class FaceModel:
-    """A linear face model on one tracking mesh; the interface that the importers of other models share.
+    """A linear face model on a tracking mesh. All importers of other models make one.
 
     ``landmarks`` are the detector's other landmarks on this mesh, or None.
     """
@@ -77,7 +77,7 @@ def load_face_model(path: str | os.PathLike) -> FaceModel:
 
 
 def save_face_model(path: str | os.PathLike, model: FaceModel) -> None:
-    """Write a model, an imported one say, in this package's npz layout (float32; read by :func:`load_face_model`)."""
+    """Write a model, such as an imported one, in this package's npz layout (float32). :func:`load_face_model` reads it."""
     write_npz(path, arrays(model), compressed=True)
 
 

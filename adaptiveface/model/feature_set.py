@@ -1,8 +1,8 @@
-"""Feature sets: named points on the model's surface that a detector finds in pictures, with how far each can be trusted.
+"""Define feature sets: points on the model's surface that a detector finds in pictures, and how reliable each of them is.
 
 Two sets come with the package: the paper's 40 features, which every face model and actor places for itself
-(:func:`paper_features`), and some 180 of MediaPipe's landmarks (:func:`landmark_set`), placed and measured on rendered
-performers by ``data_synth/place_landmarks.py``. A set is data: its size appears nowhere in the code.
+(:func:`paper_features`), and some 180 of MediaPipe's landmarks (:func:`landmark_set`), which ``data_synth/place_landmarks.py``
+placed and measured on rendered performers. A set is data: its size appears nowhere in the code.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_IDS, FEATURE_REGIONS, LANDMARKS, MEDIAPIPE_INDICES, Features2D
 from ..geometry.mesh import surface_points
 
-#: Deviation of the 40 features where nothing else is known, mm: between persons and from frame to frame.
+#: Default deviations of the 40 features between persons, and from frame to frame, mm.
 PAPER_PERSONAL, PAPER_DEVIATION = 0.7, 1.0
 #: MediaPipe's meshes turn aside by this share more than the head, and nod by this share more (less: it is negative). Measured
 #: by ``data_synth/measure_detector.py``: 0.035 and -0.18 on rendered performers; on three real people 0.11 and -0.17. Two
@@ -29,14 +29,14 @@ PAPER_PERSONAL, PAPER_DEVIATION = 0.7, 1.0
 TURN, NOD = 0.05, -0.12
 #: Beyond this angle the excess grows no more, degrees; and the point about which it turns, the middle of the landmarks, mm.
 LARGEST, MIDDLE = 35.0, np.array([0.0, -9.0, 7.0])
-#: The expression whose coefficient says how far the mouth is open.
+#: The expression whose coefficient tells how far the mouth is open.
 JAW = "jawOpen"
 
 
 @record
 @dataclass(frozen=True)
 class FeatureSet:
-    """L features on a mesh, with how far each can be trusted at Y yaws of the head."""
+    """L features on a mesh, and the reliability of each at Y yaws of the head."""
 
     ids: np.ndarray = array("L", "i4", "MediaPipe's numbers of the landmarks")
     regions: np.ndarray = array("L", "U", "name of the region of each")
@@ -63,28 +63,29 @@ class FeatureSet:
         return surface_points(vertices, self.triangles, self.weights)
 
     def deviations(self, yaw: float) -> np.ndarray:
-        """(L,) mm: the deviation at a head's yaw, degrees; beyond the table's ends it stays that of the end."""
+        """(L,) deviation at a head's yaw (degrees), mm. Beyond the ends of the table it is constant."""
         place = np.interp(yaw, self.yaw, np.arange(len(self.yaw)))
         low = min(int(place), len(self.yaw) - 1)
         high = min(low + 1, len(self.yaw) - 1)
         return self.deviation[:, low] + (place - low) * (self.deviation[:, high] - self.deviation[:, low])
 
     def select(self, chosen: np.ndarray) -> FeatureSet:
-        """The features ``chosen`` (L,) bool, or their numbers."""
+        """The features that ``chosen`` selects: (L,) bool, or numbers."""
         per_feature = ("ids", "regions", "triangles", "weights", "offset", "held_out", "personal", "deviation", "opened")
         return replace(self, **{name: getattr(self, name)[chosen] for name in per_feature})
 
     @property
     def fitted(self) -> FeatureSet:
-        """Those that fits may use."""
+        """The features that fits may use."""
         return self.select(~self.held_out)
 
     def slides(self, pose: np.ndarray, camera: Camera, points: np.ndarray, opening: float = 0.0) -> np.ndarray:
         """(L, 2) px by which the detector's landmarks lie off their points, for a head at ``pose`` (4, 4) head to camera.
 
-        From the front, with a closed mouth, next to nothing. A detector that sees the nose too long moves its tip aside as
-        the head turns; the mesh that it returns turns more or less than the head (``TURN``, ``NOD``); and it follows a chin
-        only part of the way down. ``points`` (L, 3) mm, head frame: where they lie; ``opening`` of the jaw, 0 to 1.
+        Seen from the front, with a closed mouth, they hardly do. As the head turns, a detector that takes the nose for longer
+        moves its tip aside. The mesh that it returns turns more or less than the head (``TURN``, ``NOD``), and follows an
+        opening chin only part of the way. ``points`` (L, 3) are the features, head frame, mm. ``opening`` is that of the jaw,
+        0 to 1.
         """
         yaw, pitch = np.radians(np.clip([yaw_of(pose), pitch_of(pose)], -LARGEST, LARGEST))
         excess = np.cross([NOD * pitch, TURN * yaw, 0.0], points - MIDDLE)
@@ -95,8 +96,8 @@ class FeatureSet:
     def trust(self, pose: np.ndarray) -> np.ndarray:
         """(L,) 1/mm^2: the inverse variance of each landmark on a head at ``pose`` (4, 4) head to camera.
 
-        Beyond the yaws of the table all count less: as a real head turned to the profile, the detector's error grew from
-        1.0 px to 6 px.
+        Beyond the yaws of the table, all count less. The detector's error grew from 1.0 px to 6 px when a real head turned to
+        the profile.
         """
         cosine = -float(pose[:3, 2] @ pose[:3, 3]) / float(np.linalg.norm(pose[:3, 3]))
         return (np.clip((cosine - 0.3) / 0.5, 0.1, 1.0) / self.deviations(yaw_of(pose))) ** 2
@@ -119,12 +120,12 @@ def pitch_of(pose: np.ndarray) -> float:
 
 
 def opening_of(expressions: Sequence[str], coefficients: np.ndarray) -> float:
-    """How far the jaw is open, 0 to 1, by the coefficients (A,) of ``expressions``; 0 where none of them opens it."""
+    """How far the jaw is open, 0 to 1, by the coefficients (A,) of ``expressions``; 0 if none of them opens it."""
     return float(dict(zip(expressions, coefficients, strict=False)).get(JAW, 0.0))
 
 
 def paper_features(rig) -> FeatureSet:
-    """The 40 features of the paper as a set, where a face model or an actor has them."""
+    """The 40 features of the paper as a set, at their places on a face model or an actor."""
     triangles, weights = rig.feature_triangles, rig.feature_weights
     count = len(FEATURE_IDS)
     deviation, personal = np.full((count, 1), PAPER_DEVIATION), np.full(count, PAPER_PERSONAL)
@@ -141,14 +142,14 @@ def landmark_set() -> FeatureSet:
 
 
 def _normalised(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Barycentric weights that were stored in float32 sum to one again; numbers are int32; what older files lack is zero."""
+    """Normalise barycentric weights that were stored in float32, make numbers int32, and set what older files lack to zero."""
     weights = data["weights"] / data["weights"].sum(axis=1, keepdims=True)
     data = {"opened": np.zeros_like(data["offset"])} | data
     return data | {"weights": weights, "ids": data["ids"].astype(np.int32)}
 
 
 def checked_set(path: str | os.PathLike, data: dict[str, np.ndarray], prefix: str) -> FeatureSet:
-    """A set of the arrays that a file holds under ``prefix``; raises :class:`FileFormatError` where they are none."""
+    """The set whose arrays a file holds under ``prefix``. Raises :class:`FileFormatError` for invalid ones."""
     weights, deviation, yaw, ids = data["weights"], data["deviation"], data["yaw"], data["ids"]
     if len(weights) and (weights.min() < -0.01 or np.abs(weights.sum(axis=1) - 1).max() > 0.01):
         raise FileFormatError(f"{path}: rows of '{prefix}weights' are not barycentric (0 to 1, sum 1)")

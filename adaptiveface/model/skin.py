@@ -1,7 +1,7 @@
-"""What the whole face looks like on the neutral: samples of the surface with their colours, and how much each of them knows.
+"""Describe how the whole face looks on the neutral: samples of the surface with their colours and their reliability.
 
-``appearance.py`` knows the skin around the 40 features. These samples lie over the whole frontal region. The most telling ones
-come first, so that whoever wants fewer takes the first ones and still covers the face (``tracking/dense_skin.py``).
+``appearance.py`` describes the skin around the 40 features. These samples cover the whole frontal region. They are sorted
+by how much they tell, so that the first ones alone also cover the face (``tracking/dense_skin.py``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SHARES = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1 / CHROMA, 1
 @record
 @dataclass(frozen=True)
 class Skin:
-    """Samples on the surface of the neutral, in the order in which they are worth taking; colours: :func:`skin_channels`."""
+    """Samples on the surface of the neutral, the most telling ones first. Their colours are :func:`skin_channels`."""
 
     triangles: np.ndarray = array("SKIN 3", "i4", "corners of the triangle that a sample of the face sits on", below="N")
     weights: np.ndarray = array("SKIN 3", doc="barycentric weights of its place there")

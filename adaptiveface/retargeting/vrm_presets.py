@@ -98,12 +98,3 @@ def preset_weights(curves: np.ndarray, presets: Sequence[str] = tuple(PRESETS)) 
     """(F, P) weights in [0, 1] of VRM 1.0 presets (all, in the table's order) for ARKit curves (F, 52)."""
     matrix = np.array([preset_row(preset) for preset in presets]).reshape(len(presets), len(ARKIT_NAMES))
     return np.clip(np.asarray(curves, float) @ matrix.T, 0.0, 1.0)
-
-
-def preset_table() -> str:
-    """The table as Markdown, for the documentation."""
-    lines = ["| VRM 1.0 | VRM 0.x | ARKit shapes |", "|---|---|---|"]
-    for preset, row in PRESETS.items():
-        mixture = " ".join(f"{'-' if weight < 0 else '+'} {abs(weight):.3g} {name}" for name, weight in row.items())
-        lines.append(f"| {preset} | {VRM0_NAMES.get(preset, '')} | {mixture.removeprefix('+ ')} |")
-    return "\n".join(lines)
