@@ -7,11 +7,12 @@ of the surface (:class:`Skin`) say where the skin between the features went. The
 
 with the picture's channels I_c (:func:`~adaptiveface.model.skin.skin_channels`), the pose P, the projection pi and the
 sample's barycentric row e_q. T is taken as the light of the picture shows it (skin_light.py). The energy is linearised at
-the last frame's displacement d0 with the neutral's gradients g_qc in place of the picture's (the inverse compositional form
-of Baker & Matthews 2004): g_qc lies in the sample's triangle and follows it as it bends. So one look at the picture is
-enough, and no noise of it is taken for texture. With the residual r_qc a sample adds the matrix M_q = sum_c w_qc g_qc
-g_qc^T and the pull M_q e_q d0 - sum_c w_qc r_qc g_qc. M_q says what a sample knows, in both directions of the surface:
-across an edge much, along it nothing.
+a displacement d0 with the neutral's gradients g_qc in place of the picture's (the inverse compositional form of Baker &
+Matthews 2004): g_qc lies in the sample's triangle and follows it as it bends. So no noise of the picture is taken for
+texture, and a look at it is cheap: d0 is the last frame's displacement at first, and where that leads at the second look,
+as skin that moves by more than its texture is fine is not reached by one step. With the residual r_qc a sample adds the
+matrix M_q = sum_c w_qc g_qc g_qc^T and the pull M_q e_q d0 - sum_c w_qc r_qc g_qc. M_q says what a sample knows, in both
+directions of the surface: across an edge much, along it nothing.
 
 What makes a weight w_qc small: a slope that the neutral's pictures do not show alike, being noise, or gloss that stays
 where the lamp is while the head turns (the sample's ``coherence``); skin that turns away; a channel that light and pose
@@ -21,6 +22,10 @@ nothing changes at all.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +41,32 @@ from .skin_term import SkinTerm
 
 #: px beside the samples in which the picture is prepared: blurs and shifts reach so far.
 _BORDER = 16
+
+
+class SkinPicture(NamedTuple):
+    """The part of a picture around the face: ``channels`` (H, W, 3), and its fx, fy, cx and cy, px."""
+
+    channels: np.ndarray
+    lens: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Looks:
+    """One picture that is compared with the neutral's colours, look after look.
+
+    Attributes
+    ----------
+    deformation : LaplacianDeformation
+        The Laplacian step that takes the rows.
+    first : SkinTerm
+        The rows at the last frame's displacement.
+    again : callable
+        The rows at another displacement (n, 3), mm; None where no colour tells anything.
+    """
+
+    deformation: LaplacianDeformation
+    first: SkinTerm
+    again: Callable[[np.ndarray], SkinTerm | None]
 
 
 class DenseSkin:
@@ -56,46 +87,46 @@ class DenseSkin:
         at_vertices = np.bincount(self._corners.ravel(), (skin.weights * known[:, None]).ravel(), minlength=len(region))
         self.deformation = deformation.bounded(at_vertices)
 
-    def term(
+    def look(
         self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray, displacement: np.ndarray, measured: np.ndarray
-    ) -> SkinTerm | None:
-        """The rows for the frontal ``vertices`` (n, 3) of v1, linearised at a ``displacement`` (n, 3), mm.
+    ) -> Looks | None:
+        """The frame's picture, compared at the frontal ``vertices`` (n, 3) of v1 with a ``displacement`` (n, 3), mm.
 
         ``measured`` (n,) bool: depth was found there. None where no colour tells anything.
         """
-        placed = transform_points(pose, vertices + displacement)
-        window = None if frame.colour is None else self._window(frame, placed)
-        if frame.colour is None or window is None:
+        picture = self._picture(frame, transform_points(pose, vertices + displacement))
+        if picture is None:
             return None
-        u, v, right, bottom = window
-        picture = skin_channels(frame.colour[v:bottom, u:right])
-        lens = frame.camera.fx, frame.camera.fy, frame.camera.cx - u, frame.camera.cy - v
-        matrices, forces = self._rows(picture, lens, placed, pose, measured)
-        if not matrices.any():
-            return None
-        return SkinTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
 
-    def _window(self, frame: RgbdFrame, placed: np.ndarray) -> tuple[int, int, int, int] | None:
-        """Left, top, right and bottom of the part of the picture that holds the face; None where that is too little."""
-        if placed[:, 2].min() < 50.0:
+        def again(displacement: np.ndarray) -> SkinTerm | None:
+            placed = transform_points(pose, vertices + displacement)
+            matrices, forces = self._rows(picture, placed, pose, measured)
+            if not matrices.any():
+                return None
+            return SkinTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
+
+        first = again(displacement)
+        return None if first is None else Looks(self.deformation, first, again)
+
+    def _picture(self, frame: RgbdFrame, placed: np.ndarray) -> SkinPicture | None:
+        """What a frame shows around the vertices ``placed`` (n, 3), camera frame; None without colour, or too little."""
+        if frame.colour is None or placed[:, 2].min() < 50.0:
             return None
-        pixels = frame.camera.project(placed)
+        pixels, camera = frame.camera.project(placed), frame.camera
         u, v = np.maximum(pixels.min(axis=0).astype(int) - _BORDER, 0)
-        right, bottom = np.minimum(pixels.max(axis=0).astype(int) + _BORDER, [frame.camera.width, frame.camera.height])
-        return None if min(right - u, bottom - v) < 2 * _BORDER else (int(u), int(v), int(right), int(bottom))
+        right, bottom = np.minimum(pixels.max(axis=0).astype(int) + _BORDER, [camera.width, camera.height])
+        if min(right - u, bottom - v) < 2 * _BORDER:
+            return None
+        lens = camera.fx, camera.fy, camera.cx - float(u), camera.cy - float(v)
+        return SkinPicture(skin_channels(frame.colour[v:bottom, u:right]), lens)
 
     def _rows(
-        self,
-        picture: np.ndarray,
-        lens: tuple[float, float, float, float],
-        placed: np.ndarray,
-        pose: np.ndarray,
-        measured: np.ndarray,
+        self, picture: SkinPicture, placed: np.ndarray, pose: np.ndarray, measured: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """M (Q, 3, 3) and -sum_c w_qc r_qc g_qc (Q, 3), both in the head frame, where vertices are ``placed`` (n, 3)."""
-        skin, reach = self._skin, lens[0] * self.parameters.spacing
+        skin, reach = self._skin, picture.lens[0] * self.parameters.spacing
         points, normals, counts = carry(placed, self._corners, skin.weights, measured, reach)
-        values = look_up(picture, points, lens, counts)
+        values = look_up(picture.channels, points, picture.lens, counts)
         known = counts[:, None] / self._variances
         expected = in_light(fit_light(values, skin.colours, normals, known), skin.colours, normals)
         residuals = values - expected

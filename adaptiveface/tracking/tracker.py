@@ -16,7 +16,7 @@ from ..registration.surface import DepthSurface, crop_window, depth_surface, occ
 from .adaptive_pca import Parts
 from .base import Tracker, differ, timed
 from .colour_clock import ColourClock
-from .dense_skin import DenseSkin
+from .dense_skin import DenseSkin, Looks
 from .detection import pose_from_features
 from .feature_confidence import weigh_features
 from .feature_refinement import FeatureRefinement
@@ -24,7 +24,6 @@ from .feature_rows import reprojection_errors
 from .personal_blendshapes import PersonalBlendshapes
 from .printed import depth_offsets, offsets_at_features
 from .rigid import RigidFit
-from .skin_term import SkinTerm
 from .stages import Stages
 from .state import TrackerState
 from .types import STAGE_NAMES, SampleState, TrackedFrame
@@ -147,10 +146,8 @@ class FaceTracker(Tracker):
         with timed(ms, "laplacian"):  # section 4.3, equations (3) to (7)
             matches, occluded = self._match_depth(surface, pose, v1, normals)
             coverage = matches.count / max(int(self._may_match.sum()), 1)
-        with timed(ms, "skin"):  # what the colours tell about motion within the surface
-            colours, clock = self._colour_rows(frame, pose, v1, matches)
+        deformation, clock = self._deform(frame, pose, v1, matches, ms)
         with timed(ms, "laplacian"):
-            deformation = self._deform(frame, pose, v1, matches, colours)
             v2 = self.region.displaced(v1, deformation)
         with timed(ms, "projection"):  # section 4.3, last equation
             v3, parts = self._project(v1, v2)
@@ -257,37 +254,52 @@ class FaceTracker(Tracker):
         occluded = occluded_share(surface, matches.points[some], normals[some] @ pose[:3, :3].T, p.max_correspondence_distance)
         return matches, occluded
 
-    def _colour_rows(
+    def _deform(
+        self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences, ms: dict[str, float]
+    ) -> tuple[np.ndarray, ColourClock]:
+        """Displacement (n, 3) of v1's frontal vertices towards depth, features and colours; are the pictures in time?"""
+        with timed(ms, "skin"):  # what the colours tell about motion within the surface
+            looks, clock = self._looks(frame, pose, v1, matches)
+        with timed(ms, "laplacian"):
+            if looks is None:
+                return self._deform_to_depth(frame, pose, v1, matches), clock
+            p, planes = self.parameters, matches.normals @ pose[:3, :3]
+            term = self._feature_term(frame, pose, v1, p.laplacian.feature_weight, hold_depth=False)
+            d = looks.deformation.deform(matches, planes, term, self.state.deformation, p.skin.cg_iterations, looks.first)
+        for _ in range(1, p.skin.looks):
+            with timed(ms, "skin"):
+                colours = looks.again(d)
+            with timed(ms, "laplacian"):
+                if colours is not None:
+                    d = looks.deformation.deform(matches, planes, term, d, p.skin.cg_iterations, colours)
+        return d, clock
+
+    def _looks(
         self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences
-    ) -> tuple[SkinTerm | None, ColourClock]:
-        """The colours' rows about the last frame's displacement, None where no colour tells anything; are pictures in time?"""
+    ) -> tuple[Looks | None, ColourClock]:
+        """A picture that is compared from the last frame's displacement on, None where it tells nothing; is it in time?"""
         last, clock = self.state, self.state.clock
         if self.skin is None or frame.colour is None:
             return None, clock
         vertices, clock = v1.take(self.region.vertices, axis=0), clock.after(frame)
-        term = self.skin.term(frame, pose, vertices, last.deformation, matches.weights > 0)
-        if term is not None and last.pose is not None:
+        looks = self.skin.look(frame, pose, vertices, last.deformation, matches.weights > 0)
+        if looks is not None and last.pose is not None:
             middle = self.region.neutral.mean(axis=0, keepdims=True)
             motion = transform_points(pose, middle)[0] - transform_points(last.pose, middle)[0]
-            clock = clock.seen(term, pose[:3, :3], motion)
-        return None if clock.late else term, clock
+            clock = clock.seen(looks.first, pose[:3, :3], motion)
+        return None if clock.late else looks, clock
 
-    def _deform(
-        self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences, colours: SkinTerm | None
-    ) -> np.ndarray:
-        """Displacement (n, 3) of the frontal vertices of v1 towards depth, 2D features and colours."""
+    def _deform_to_depth(self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences) -> np.ndarray:
+        """Displacement (n, 3) of the frontal vertices of v1 towards depth and 2D features."""
         p, start = self.parameters.laplacian, self.state.deformation
-        planes = matches.normals @ pose[:3, :3]
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
         else:
             rise = offsets_at_features(matches, pose, self.deformation.corners, self.deformation.shares) @ pose[2, :3]
             term = self._printed_term(frame, pose, v1, rise)
-        if self.skin is not None and colours is not None:
-            return self.skin.deformation.deform(matches, planes, term, start, self.parameters.skin.cg_iterations, colours)
         if p.depth_term == "point-to-point":
             return self.deformation.deform_to_points(depth_offsets(matches, pose, start), term)
-        return self.deformation.deform(matches, planes, term, start, p.cg_iterations)
+        return self.deformation.deform(matches, matches.normals @ pose[:3, :3], term, start, p.cg_iterations)
 
     def _learn(self, parts: Parts, coverage: float, occluded: float, late: bool) -> SampleState:
         """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it.
