@@ -177,3 +177,9 @@ def test_log_steps_begin_at_zero_where_zero_is_allowed():
         "7",
         "1234567.5",
     ]
+
+
+def test_every_parameters_name_has_room_beside_its_slider():
+    """Jupyter cuts longer ones off."""
+    panel = views.ParameterPanel(list(dict.fromkeys(row["stage"] for row in describe())), lambda _: None)
+    assert [c.description for c in panel.controls.values() if len(c.description) > 20] == []

@@ -30,7 +30,7 @@ TAB_STYLE = "<style>.adaptiveface-tabs .lm-TabBar-tab {flex: 0 0 auto !important
 #: The number of expressions used; an actor has only so many.
 EXPRESSIONS = "blendshapes.A"
 #: Names that are too long for the place beside a slider, and what stands there.
-LABELS = {"max_correspondence_distance": "max_distance"}
+LABELS = {"max_correspondence_distance": "max_distance", "max_reprojection_error": "max_reprojection"}
 OnChange = Callable[[Parameters], None]
 
 
