@@ -9,6 +9,7 @@ makes the stages of a tracker that calls it, ``track`` compares the tracker with
 """
 
 from .bounded import BOUNDED_LEAST_SQUARES
+from .brightness import BRIGHTNESS_STEP
 from .cotangent import COTANGENT_MATRIX
 from .em import EM_STEP
 from .grading import Exercise, Grade, Mistake, Report
@@ -37,6 +38,7 @@ EXERCISES = (
     COTANGENT_MATRIX,
     SOLVE_DEFORMATION,
     RIGHT_HAND_SIDE,
+    BRIGHTNESS_STEP,
     PROJECT,
     EM_STEP,
     ACTIVE_SHARE,
@@ -46,6 +48,7 @@ EXERCISES = (
 __all__ = [
     "ACTIVE_SHARE",
     "BOUNDED_LEAST_SQUARES",
+    "BRIGHTNESS_STEP",
     "COTANGENT_MATRIX",
     "DEFORMATION_GRADIENT",
     "EM_STEP",
