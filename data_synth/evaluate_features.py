@@ -38,9 +38,15 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from performer_runs import run_parser, run_performers, write_json  # noqa: E402
 
+<<<<<<< HEAD
 from adaptiveface.evaluation import FIRST, REPEAT, ErrorCollector, tracked_alignment  # noqa: E402
 from adaptiveface.geometry.frame import FEATURE_REGIONS, DetectedFace, Features2D, RgbdFrame  # noqa: E402
 from adaptiveface.landmarks import FeatureDetector  # noqa: E402
+=======
+from adaptiveface.evaluation import REPEAT, ErrorCollector, tracked_alignment  # noqa: E402
+from adaptiveface.geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame  # noqa: E402
+from adaptiveface.landmarks import FeatureDetector, Upright  # noqa: E402
+>>>>>>> 9680d9f (refinement.detect_every: the detector looks at every n-th frame while the tracker is certain)
 from adaptiveface.model.actor import Actor  # noqa: E402
 from adaptiveface.neutral.capture import capture_actor  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
@@ -132,9 +138,21 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
             errors.append(np.where(pair["exact"].features.valid[:, None], _error(pair), np.nan))
     row = dict(seed=seed, noise=noise, look=options["look"], found=found / len(sensor), pixels=pixel_errors(np.array(errors)))
     for name, run in runs.items():
+<<<<<<< HEAD
         scored = FIRST if take else REPEAT
         row[name] = {by: collector.finish().summary("v4", scored) for by, collector in run.collectors.items()}
+=======
+        row[name] = {by: collector.finish().summary("v4", REPEAT) for by, collector in run.collectors.items()}
+        row[name]["searched"] = run.searched / len(sensor)
+>>>>>>> 9680d9f (refinement.detect_every: the detector looks at every n-th frame while the tracker is certain)
     return row
+
+
+class _Found:
+    """A detector that has looked at every frame already."""
+
+    def detect(self, frame: RgbdFrame) -> Features2D | None:
+        return frame.features
 
 
 class Run:
@@ -143,11 +161,15 @@ class Run:
     def __init__(self, sensor: SyntheticSensor, actor: Actor, parameters: Parameters, neutral: int, kind: str) -> None:
         self.sensor, self.actor, self.neutral, self.kind = sensor, actor, neutral, kind
         self.tracker, self.poses = FaceTracker(actor, parameters), []
+        self.reader, self.searched = Upright(_Found()), 0
         self.collectors: dict[str, ErrorCollector] = {}
 
     def add(self, frame: RgbdFrame, scored: bool) -> None:
         """Track the next frame: of the neutral, to learn where the head is placed, then of the performance."""
+        frame = self.reader.detect(frame)
+        self.searched += frame.searched
         tracked = self.tracker.track(frame)
+        self.reader.spare(self.tracker.detect_every)
         if frame.index < self.neutral:
             if tracked.tracked:
                 self.poses.append((tracked.head_pose, self.sensor.ground_truth(frame.index).head_pose))

@@ -103,6 +103,8 @@ class RgbdFrame:
         Seconds.
     features : Features2D or None
         The 2D features, where a face was found.
+    searched : bool
+        False where nobody looked for features, for a tracker that can predict them; then there are none.
     """
 
     depth: np.ndarray
@@ -111,6 +113,7 @@ class RgbdFrame:
     index: int = 0
     timestamp: float = 0.0
     features: Features2D | None = None
+    searched: bool = True
 
     @property
     def seen(self) -> Features2D:

@@ -25,6 +25,8 @@ _log = logging.getLogger(__name__)
 class Upright:
     """Finds features as ``detector`` does, in frames turned upright; ``name`` of their source, for what is said.
 
+    With :meth:`spare` it lets frames pass unsearched, as long as the tracker is certain where the features are.
+
     ``quarters``: by how much frames are turned anticlockwise, for good once it is ``decided``. A detector that has no
     ``look`` is taken as it is, and frames are never turned.
     """
@@ -34,10 +36,19 @@ class Upright:
         self.quarters, self.decided = 0, not hasattr(detector, "look")
         self._votes: Counter[int] = Counter()
         self._frames = 0
+        self._every, self._since = 1, 0
+
+    def spare(self, every: int) -> None:
+        """From now on search every ``every``-th frame; 1, for a tracker that is not certain, searches the next one."""
+        self._every = every
 
     def detect(self, frame: AnyFrame) -> AnyFrame:
         """``frame`` the right way up, with its features or None where no face is seen."""
         found = turned(frame, self.quarters)
+        self._since += 1
+        if self.decided and self._since < self._every and frame.colour is not None:
+            return dataclasses.replace(found, features=None, searched=False)
+        self._since = 0
         features = self.detector.detect(found)
         if not self.decided and frame.colour is not None:
             before = self.quarters

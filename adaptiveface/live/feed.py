@@ -61,6 +61,11 @@ class FeatureFeed(Closing):
         """
         return self._frames.read(timeout, self._fresh)
 
+    def spare(self, every: int) -> None:
+        """Search every ``every``-th of the pictures to come (:meth:`.Upright.spare`); any thread may say so."""
+        if self._upright is not None:
+            self._upright.spare(every)
+
     def close(self) -> None:
         """Stop the thread within a second. The sensor stays open. Calling it again does nothing."""
         self._frames.close()
@@ -112,7 +117,8 @@ class FeatureFeed(Closing):
             self._upright = Upright(self._detector, self.sensor.name)
         start = time.perf_counter()
         found = self._upright.detect(frame)
-        self._detect_ms.append((time.perf_counter() - start) * 1e3)
+        if found.searched:
+            self._detect_ms.append((time.perf_counter() - start) * 1e3)
         return found
 
     def _load(self) -> FeatureDetector:

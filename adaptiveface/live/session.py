@@ -162,6 +162,7 @@ class LiveSession:
         return packaged(error, "the tracker failed", TrackingError)
 
     def _stopped(self) -> None:
+        self.feed.spare(1)  # nobody predicts features any more
         with self._changed:
             self.running = False
             self._changed.notify_all()
@@ -217,8 +218,10 @@ class LiveSession:
             if self._failures >= MOST_FAILURES:
                 raise lost from error
             self._tracker.forget()
+            self.feed.spare(1)
             return self._tracker.untracked(frame, str(lost))
         self._failures = 0
+        self.feed.spare(self._tracker.detect_every)
         return tracked
 
     def _publish(self, frame: LiveFrame, tracked: TrackedFrame) -> None:

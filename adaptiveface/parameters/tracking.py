@@ -323,6 +323,12 @@ class RefinementParameters(Stage):
     correlation_length: float = parameter(15.0, "distance over which the detector errs alike", unit="mm", low=1, high=100)
     noise: float = parameter(4.0, "a patch fits no better than this", unit="%", low=0.5, high=50, log=True)
     rounds: int = parameter(3, "Gauss-Newton rounds at each blur", low=1, high=20)
+    detect_every: int = parameter(
+        1,
+        "the detector looks at every so many frames while tracking is certain; between, features are predicted",
+        low=1,
+        high=30,
+    )
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,11 @@ class FrameReader(Closing):
             self._take_note(index, frame)
         return frame
 
+    def spare(self, every: int) -> None:
+        """Search every ``every``-th of the frames to come (:meth:`.Upright.spare`)."""
+        if self._upright is not None:
+            self._upright.spare(every)
+
     def again(self, index: int, features: Features2D) -> RgbdFrame:
         """Frame ``index``, which was read before, with the ``features`` that it had."""
         known = self._known.get(index)
@@ -100,6 +105,7 @@ class FrameReader(Closing):
         it believes it to be, depends on the order of the frames.
         """
         self._remember, self._abilities = False, Abilities.of(self.source)
+        self.spare(1)
         if not self._in_order:
             self.close()
             if self._own_detector is not None:

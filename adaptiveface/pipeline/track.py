@@ -118,6 +118,7 @@ class _Run:
             return
         self.size.see(frame)
         tracked = self.tracker.track(frame)
+        self.reader.spare(self.tracker.detect_every)
         self.builder.add(tracked)
         self.gaze.see(tracked, frame)
         if not self.abilities.colour_only:

@@ -56,6 +56,11 @@ class Tracker(ABC):
         """(4, 4) the head's last pose, head to camera, mm; None where it is not known."""
         return self.state.pose
 
+    @property
+    def detect_every(self) -> int:
+        """The detector need not look at more than every so-many-th frame from now on: 1 where nothing else finds features."""
+        return 1
+
     def reset(self) -> None:
         """Start over: forget the pose, the expression and everything learned."""
         self.model.reset()

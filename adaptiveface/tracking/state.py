@@ -28,6 +28,8 @@ class TrackerState:
         Displacement v2 - v1 of the frontal vertices, from which the next frame's solve starts, mm.
     filter : FilterState or None
         What the Kalman filter knows; None before its first frame.
+    confidence : (40,) float or None
+        Of the features that were detected last; None where they cannot be predicted: the tracker is not certain.
     clock : ColourClock
         Whether the pictures are in time; kept by trackers with a colour term.
     """
@@ -38,4 +40,5 @@ class TrackerState:
     v4: np.ndarray
     deformation: np.ndarray
     filter: FilterState | None = None
+    confidence: np.ndarray | None = None
     clock: ColourClock = field(default_factory=ColourClock)

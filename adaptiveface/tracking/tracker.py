@@ -19,6 +19,7 @@ from .colour_clock import ColourClock
 from .dense_skin import DenseSkin, Looks
 from .detection import pose_from_features
 from .feature_confidence import weigh_features
+from .feature_prediction import MOST_OCCLUDED, confidence_kept, predict_features
 from .feature_refinement import FeatureRefinement
 from .feature_rows import reprojection_errors
 from .personal_blendshapes import PersonalBlendshapes
@@ -111,6 +112,12 @@ class FaceTracker(Tracker):
         blendshapes[: len(self.blendshapes.basis)] = self.blendshapes.basis
         return replace(self.given, blendshapes=blendshapes)
 
+    @property
+    def detect_every(self) -> int:
+        """``refinement.detect_every`` while features can be predicted and refined, 1 where they must be detected."""
+        certain = self.refinement is not None and self.state.confidence is not None and not self.state.clock.late
+        return self.parameters.refinement.detect_every if certain else 1
+
     def track(self, frame: RgbdFrame) -> TrackedFrame:
         """Track one frame (section 4).
 
@@ -133,7 +140,7 @@ class FaceTracker(Tracker):
             return self.untracked(frame, why_lost(frame, self.blendshapes.feature_points(self.state.coefficients)), ms)
         face = None if frame.features is None else frame.features.face  # refined features come without it
         with timed(ms, "preprocess"):
-            frame = self._refine_features(frame, rigid.pose)
+            frame = self._refine_features(found := predict_features(frame, self.actor, last, rigid.pose), rigid.pose)
             expected = transform_points(rigid.pose, self.blendshapes.feature_points(last.coefficients))
             frame = weigh_features(frame, expected)
 
@@ -158,10 +165,12 @@ class FaceTracker(Tracker):
             state = self._learn(parts, coverage, occluded, clock.late)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
+        steady = rigid.residual < 0.5 * self.parameters.rigid.max_residual and occluded <= MOST_OCCLUDED
+        confidence = confidence_kept(found, frame) if steady else None
         with timed(ms, "adaptive_pca"):
             self._learn_expressions(state, coefficients, v2, coverage)
 
-        self.state = TrackerState(pose, x, v1, v4, deformation, self.state.filter, clock)
+        self.state = TrackerState(pose, x, v1, v4, deformation, self.state.filter, confidence, clock)
         return TrackedFrame(
             frame.index,
             frame.timestamp,
