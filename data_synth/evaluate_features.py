@@ -38,15 +38,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from performer_runs import run_parser, run_performers, write_json  # noqa: E402
 
-<<<<<<< HEAD
 from adaptiveface.evaluation import FIRST, REPEAT, ErrorCollector, tracked_alignment  # noqa: E402
 from adaptiveface.geometry.frame import FEATURE_REGIONS, DetectedFace, Features2D, RgbdFrame  # noqa: E402
-from adaptiveface.landmarks import FeatureDetector  # noqa: E402
-=======
-from adaptiveface.evaluation import REPEAT, ErrorCollector, tracked_alignment  # noqa: E402
-from adaptiveface.geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame  # noqa: E402
 from adaptiveface.landmarks import FeatureDetector, Upright  # noqa: E402
->>>>>>> 9680d9f (refinement.detect_every: the detector looks at every n-th frame while the tracker is certain)
 from adaptiveface.model.actor import Actor  # noqa: E402
 from adaptiveface.neutral.capture import capture_actor  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
@@ -138,13 +132,9 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
             errors.append(np.where(pair["exact"].features.valid[:, None], _error(pair), np.nan))
     row = dict(seed=seed, noise=noise, look=options["look"], found=found / len(sensor), pixels=pixel_errors(np.array(errors)))
     for name, run in runs.items():
-<<<<<<< HEAD
         scored = FIRST if take else REPEAT
         row[name] = {by: collector.finish().summary("v4", scored) for by, collector in run.collectors.items()}
-=======
-        row[name] = {by: collector.finish().summary("v4", REPEAT) for by, collector in run.collectors.items()}
         row[name]["searched"] = run.searched / len(sensor)
->>>>>>> 9680d9f (refinement.detect_every: the detector looks at every n-th frame while the tracker is certain)
     return row
 
 
