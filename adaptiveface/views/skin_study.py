@@ -91,7 +91,8 @@ def _rows(tracker: FaceTracker, frame: RgbdFrame, tracked: TrackedFrame) -> Skin
     local = tracker.region.vertices
     measured = np.ones(len(local), bool)
     assert tracker.skin is not None
-    return tracker.skin.term(frame, tracked.head_pose, tracked.v1[local], tracker.state.deformation, measured)
+    looks = tracker.skin.look(frame, tracked.head_pose, tracked.v1[local], tracker.state.deformation, measured)
+    return None if looks is None else looks.first
 
 
 @inked()
