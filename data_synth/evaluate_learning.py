@@ -2,7 +2,7 @@
 
     python data_synth/evaluate_learning.py --study repeat                       # seeds 1000 to 1002 are reported
     python data_synth/evaluate_learning.py --study minute --seeds 2000 2001      # while developing: other seeds
-    python data_synth/evaluate_learning.py --study known --variants "on" "off: adaptive_pca.learn=false"
+    python data_synth/evaluate_learning.py --study known --variants on "off: adaptive_pca.learn=false"
 
 Studies:
 
@@ -42,7 +42,12 @@ from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 from adaptiveface.tracking.types import SampleState, TrackedFrame  # noqa: E402
 
 REPORTING_SEEDS = (1000, 1001, 1002)
-VARIANTS = ("on", "off: adaptive_pca.learn=false", "distinct: adaptive_pca.buffer=distinct")
+VARIANTS = (
+    "nothing: adaptive_pca.learn=false",
+    "newest: adaptive_pca.buffer=newest, personal_blendshapes.on=false",
+    "distinct: personal_blendshapes.on=false",
+    "personal",
+)
 #: Frames of one open smile.
 SMILE = 40
 #: What the minute between goes without.

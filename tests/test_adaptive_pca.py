@@ -86,7 +86,7 @@ def test_em_converges_to_batch_pca():
 
 
 def test_online_correctives_follow_batch_pca(actor):
-    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=120))
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=120, buffer="newest"))
     samples = samples_outside_anchors(model, 300)
     feed(model, samples)
     assert_orthonormal(model)
@@ -127,7 +127,7 @@ def test_full_buffer_policy_updates_once_the_buffer_is_full(actor):
 
 
 def test_more_correctives_than_the_buffer_has_samples_still_learn(actor):
-    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=5))
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=7, S=5, buffer="newest"))
     samples = samples_outside_anchors(model, 25)
     feed(model, samples)
     assert model.updates == 25 and model.correctives.shape[1] == 5
@@ -136,7 +136,7 @@ def test_more_correctives_than_the_buffer_has_samples_still_learn(actor):
 
 
 def test_a_buffer_of_duplicates_stays_well_conditioned(actor):
-    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(S=30))
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(S=30, buffer="newest"))
     sample = samples_outside_anchors(model, 1)[0]
     feed(model, [sample] * 50)
     assert model.correctives.shape[1] == 1

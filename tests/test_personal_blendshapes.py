@@ -160,6 +160,14 @@ def test_a_frame_behind_a_hand_teaches_nothing(tracker, performance):
     assert seen.track(frame).tracked and np.abs(seen.personal._gram - before).max() > 0.1
 
 
+def test_frozen_learning_keeps_the_expressions_as_they_are(tracker, performance):
+    frozen = tracker.with_parameters(ON.replace(adaptive_pca__learn=False))
+    before = frozen.personal._gram.copy()
+    assert all(frozen.track(frame).tracked for frame in performance[1][:6])
+    np.testing.assert_array_equal(frozen.personal._gram, before)
+    np.testing.assert_array_equal(frozen.blendshapes.basis, tracker.blendshapes.basis)
+
+
 def test_the_same_frames_give_the_same_bits(actor, tracker, performance):
     again = FaceTracker(actor, ON)
     for frame in performance[1]:

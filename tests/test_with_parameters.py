@@ -81,7 +81,7 @@ def test_fewer_or_more_correctives_are_the_principal_ones_of_the_buffer(tracker)
 
 def test_a_smaller_buffer_keeps_the_newest_samples_and_learning_goes_on(tracker, frames):
     newest = tracker.model.samples()[-8:]
-    changed = tracker.with_parameters(START.set(adaptive_pca__S=8))
+    changed = tracker.with_parameters(START.set(adaptive_pca__S=8, adaptive_pca__buffer="newest"))
     np.testing.assert_allclose(changed.model.samples(), newest, atol=1e-3)
     assert changed.model.correctives.shape[1] == 5
     before = changed.model.updates

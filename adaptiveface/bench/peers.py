@@ -284,7 +284,7 @@ def incremental_pca(recorded: Recorded, limit: int) -> Comparison:
     """scikit-learn's ``IncrementalPCA``: one new valid sample, after the samples of the buffer."""
     tracker, decomposition = recorded.tracker, _optional("sklearn.decomposition")
     p = tracker.parameters.adaptive_pca
-    model = AdaptiveModel(tracker.actor, tracker.blendshapes.basis, p)
+    model = AdaptiveModel(tracker.actor, tracker.transferred.basis, p)
     judged = [model.parts(*arguments) for arguments in recorded.learn]
     pairs = zip(recorded.learn, judged, strict=True)
     valid = [(*arguments, parts.residual) for arguments, parts in pairs if model.classify(parts) is SampleState.LEARNED]

@@ -258,7 +258,7 @@ class AdaptivePcaParameters(Stage):
     K: int = parameter(12, "number of corrective shapes", section="5", low=0, high=100, paper=7)
     S: int = parameter(200, "samples kept in the buffer", section="5", low=2, high=2000)
     buffer: str = parameter(
-        "newest",
+        "distinct",
         "which samples a full buffer keeps: the newest, or those that differ most from each other",
         section="5",
         choices=("newest", "distinct"),
@@ -290,7 +290,7 @@ class AdaptivePcaParameters(Stage):
         choices=("growing", "full-buffer"),
         paper="full-buffer",
     )
-    learn: bool = parameter(True, "learn correctives at all", section="5")
+    learn: bool = parameter(True, "learn at all: correctives, and personal blendshapes", section="5")
     min_coverage: float = parameter(
         0.5, "share of the frontal vertices that must have depth for a frame to be learned", low=0, high=1, paper=0.0
     )
@@ -352,7 +352,7 @@ class SkinParameters(Stage):
 class PersonalBlendshapesParameters(Stage):
     """The expressions' meshes, improved while tracking (Bouaziz et al. 2013); not in the paper."""
 
-    on: bool = parameter(False, "improve the expressions' meshes from the tracked frames", paper=False)
+    on: bool = parameter(True, "improve the expressions' meshes from the tracked frames", paper=False)
     spread: float = parameter(
         0.3, "prior deviation of an expression's motion from the transferred one, as a share of it", low=0.01, high=2, log=True
     )
@@ -365,4 +365,4 @@ class PersonalBlendshapesParameters(Stage):
         log=True,
     )
     memory: int = parameter(3000, "frames with expression after which a frame counts a third", low=10, high=1000000, log=True)
-    interval: int = parameter(60, "learned frames between two updates of the meshes", low=1, high=10000, log=True)
+    interval: int = parameter(30, "learned frames between two updates of the meshes", low=1, high=10000, log=True)

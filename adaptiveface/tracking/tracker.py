@@ -168,7 +168,7 @@ class FaceTracker(Tracker):
         steady = rigid.residual < 0.5 * self.parameters.rigid.max_residual and occluded <= MOST_OCCLUDED
         confidence = confidence_kept(found, frame) if steady else None
         with timed(ms, "adaptive_pca"):
-            self._learn_expressions(state, coefficients, v2, coverage)
+            self._learn_expressions(state, 0.5 * (x + coefficients), v2, coverage)
 
         self.state = TrackerState(pose, x, v1, v4, deformation, self.state.filter, confidence, clock)
         return TrackedFrame(
@@ -321,7 +321,11 @@ class FaceTracker(Tracker):
         return self.model.learn(parts) if p.learn else self.model.classify(parts)
 
     def _learn_expressions(self, state: SampleState, x: np.ndarray, v2: np.ndarray, coverage: float) -> None:
-        """What v2 says about the meshes of the expressions, from frames that the correctives would learn from, too."""
-        if self.personal is not None and state in (SampleState.IN_ANCHOR_SPACE, SampleState.LEARNED):
+        """What v2 says about the meshes of the expressions, from frames that the correctives would learn from, too.
+
+        ``x`` is the mean of the fitted and the re-solved coefficients, which do not err alike.
+        """
+        good = state in (SampleState.IN_ANCHOR_SPACE, SampleState.LEARNED)
+        if self.personal is not None and good and self.parameters.adaptive_pca.learn:
             if self.personal.learn(x, self.region.difference(v2, self.blendshapes.shape(x)), coverage):
                 self._wear_personal()

@@ -145,7 +145,7 @@ class Replay:
 
     def _relearned(self, tracker: Tracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
         """What the earlier frames' deformations v2 - v1 teach; of at most ``most`` frames, to answer at once."""
-        model = AdaptiveModel(self.actor, tracker.blendshapes.basis, parameters.adaptive_pca)
+        model = AdaptiveModel(self.actor, tracker.transferred.basis, parameters.adaptive_pca)
         unseen = (SampleState.UNTRACKED, SampleState.HIDDEN)
         samples = [r for r in self.results[:index] if r is not None and r.tracked and r.sample_state not in unseen]
         if parameters.adaptive_pca.learn and samples:
