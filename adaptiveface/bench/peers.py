@@ -106,6 +106,8 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
         parts = learned.noting(AdaptiveModel.parts)
 
     stages = Stages(rigid=Rigid, blendshapes=Fit, deformation=Deformation.of, adaptive_pca=Model)
+    # What was given to a fit is solved again afterwards: its expressions must still be the same.
+    parameters = (parameters or Parameters()).replace(personal_blendshapes__on=False)
     tracker = FaceTracker(actor, parameters, stages)
     for number, frame in enumerate(frames):
         for entry in notes:
