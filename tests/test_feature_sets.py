@@ -11,11 +11,11 @@ from adaptiveface.errors import FileFormatError
 from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.expression_names import SCORE_NAMES
 from adaptiveface.geometry.frame import LANDMARKS, DetectedFace, Features2D, RgbdFrame
-from adaptiveface.geometry.mesh import rigid_alignment, rotation_vector_matrix, transform_points
+from adaptiveface.geometry.mesh import rigid_alignment, rotation_vector_matrix, surface_points, transform_points
 from adaptiveface.live.statistics import LiveStatistics
 from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import embedded_face_model
-from adaptiveface.model.feature_set import MIDDLE, NOD, TURN, opening_of, paper_features, pitch_of, yaw_of
+from adaptiveface.model.feature_set import MIDDLE, NOD, TURN, opening_of, pitch_of, yaw_of
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.colour import NEAREST, USUAL, capture_colour, scored_coefficients
 from adaptiveface.parameters import Parameters
@@ -39,7 +39,7 @@ def seen(head: np.ndarray, x: np.ndarray, pose: np.ndarray, index: int = 0, nois
     pixels = camera.project(transform_points(pose, points)) + SET.slides(pose, camera, points, opening_of(NAMES, x))
     mesh[SET.ids, :2] = pixels + noise * rng.standard_normal(pixels.shape)
     scores = x @ MODEL.generic_weights
-    forty = camera.project(transform_points(pose, paper_features(MODEL).points(skin)))
+    forty = camera.project(transform_points(pose, surface_points(skin, MODEL.feature_triangles, MODEL.feature_weights)))
     face = DetectedFace(mesh, np.array([dict(zip(MODEL.expression_names, scores, strict=True))[n] for n in SCORE_NAMES]))
     features = Features2D(forty, np.full(40, 0.3), face)
     return RgbdFrame(np.zeros((1, 1), np.float32), camera, None, index, index / 30, features)

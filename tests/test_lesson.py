@@ -72,7 +72,7 @@ def test_s(session):
     """A short memory follows the present expression, far from the batch PCA of what it saw before."""
     last = len(LAUGH) + len(RAGE) - 1
     wide, short = replay_with(session, K=3), replay_with(session, K=3, S=6)
-    samples = pca_study.learned_samples(wide, last)
+    samples = pca_study.SampleRows()(wide, last)
     angles = [pca_study.angle_to_batch(one.model_after(last), samples) for one in (wide, short)]
     assert angles[0] < 5 < 10 < angles[1]
 
@@ -111,7 +111,7 @@ def test_the_hand_is_not_learned_from():
 def test_singular_values_grow_with_the_expressions(session, default):
     in_laugh, after_laugh, after_rage = len(LAUGH) // 2, len(LAUGH) - 1, len(LAUGH) + len(RAGE) - 1
     seen = [
-        pca_study.singular_values(default.model_after(k), pca_study.learned_samples(default, k))
+        pca_study.singular_values(default.model_after(k), pca_study.SampleRows()(default, k))
         for k in (after_laugh, after_rage, in_laugh)
     ]
     assert seen[0][0] > 4 * seen[0][1] and seen[1][1] > 2 * seen[0][1]
@@ -198,6 +198,6 @@ def test_displacements_have_the_singular_values_of_their_samples(default):
     """The correctives are orthogonal to the anchor space, so that its part of a displacement does not count."""
     last = len(LAUGH) - 1
     model = default.model_after(last)
-    both = [f(default, last) for f in (pca_study.learned_samples, pca_study.learned_displacements)]
+    both = [f(default, last) for f in (pca_study.SampleRows(), pca_study.learned_displacements)]
     one, other = (pca_study.singular_values(model, samples) for samples in both)
     assert other == pytest.approx(one, rel=1e-3)

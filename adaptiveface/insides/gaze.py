@@ -1,7 +1,7 @@
-"""Where the eyes look: irises in the picture, on the actor's own eyeballs.
+"""Measure where the eyes look, from the irises in the picture and the actor's own eyeballs.
 
-The ray from the camera through the centre of an iris meets the eyeball, which is known in the head's frame, and the
-direction from the ball's centre to that point is the gaze. Tracking has no part in it, and knows of no detector.
+A ray from the camera through the centre of an iris meets the eyeball, whose place in the head frame is known. The gaze is
+the direction from the ball's centre to that point. Tracking neither uses the gaze nor knows of any detector.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from ..model.actor import Actor
 from . import make_insides
 from .parts import CORNEA
 
-#: iBUG numbers of the corners, and pairs of upper and lower lid, by eye.
+#: iBUG numbers of each eye's corners, and of its pairs of upper and lower lid points.
 _CORNERS = ((42, 45), (36, 39))
 _LIDS = (((43, 47), (44, 46)), ((37, 41), (38, 40)))
-#: A lid gap of less than this share of the eye's width hides the iris.
+#: The iris counts as hidden when the gap between the lids is less than this share of the eye's width.
 CLOSED = 0.13
-#: The mean confidence of an eye's corners below which it is turned away.
+#: An eye counts as turned away when the mean confidence of its corners is below this.
 _TURNED_AWAY = 0.02
-#: Largest turn of an eye, rad. Farther ones are mistakes.
+#: Largest yaw and pitch of an eye, rad. Larger values are measurement errors.
 LARGEST = (0.8, 0.7)
-#: Smoothing: share of the way to a new measurement, at rest and from a jump of ``_JUMP`` rad on.
+#: Smoothing: each frame moves the gaze by the share ``_CALM`` towards a new measurement, and all the way for jumps of ``_JUMP``
+#: rad or more.
 _CALM, _JUMP = 0.4, 0.12
 
 
@@ -39,7 +40,7 @@ _LID_ROWS = np.array([[[_row(n) for n in pair] for pair in eye] for eye in _LIDS
 
 
 class GazeEstimator:
-    """Gaze of one actor, frame by frame; ``available`` is False where its mesh has no known eyeballs."""
+    """Measures the gaze of one actor frame by frame; ``available`` is False if the actor's mesh has no known eyeballs."""
 
     def __init__(self, actor: Actor) -> None:
         self._actor = actor
@@ -51,11 +52,26 @@ class GazeEstimator:
         return self._insides is not None
 
     def measure(self, skin: np.ndarray, pose: np.ndarray, camera: Camera, features: Features2D | None) -> np.ndarray:
-        """(2, 2) yaw to the subject's left and pitch upwards, rad, of the left and the right eye; NaN where unknown.
+        """Measure the gaze of both eyes in one frame.
 
-        skin (N, 3) mm, head frame; pose (4, 4) head to camera. Pixels are moved so that the detected corners of an eye
-        meet those of the tracked face. An eye is unknown where its lids are closed, where it is turned away, and where no
-        iris was detected.
+        Each iris is shifted so that the detected corners of its eye meet those of the tracked face.
+
+        Parameters
+        ----------
+        skin : (N, 3) array
+            Vertices of the face in the head frame, mm.
+        pose : (4, 4) array
+            Head to camera.
+        camera : Camera
+            The camera of the colour image.
+        features : Features2D or None
+            The detected features with the irises.
+
+        Returns
+        -------
+        (2, 2) array
+            Yaw to the subject's left and pitch upwards, rad, of the left and the right eye. NaN for an eye that is closed,
+            is turned away, or has no detected iris.
         """
         gaze = np.full((2, 2), np.nan)
         irises = None if features is None else features.iris_centres
@@ -75,9 +91,9 @@ class GazeEstimator:
         return gaze
 
     def see(self, tracked, frame) -> np.ndarray | None:
-        """:meth:`measure` in a tracked frame and the :class:`~adaptiveface.geometry.frame.RgbdFrame` that it came from.
+        """Call :meth:`measure` for a tracked frame and the :class:`~adaptiveface.geometry.frame.RgbdFrame` it came from.
 
-        None without a face.
+        Returns None if the frame shows no face.
         """
         if not tracked.tracked or frame is None:
             return None
@@ -92,7 +108,7 @@ class GazeEstimator:
         return bool(gap > CLOSED * width)  # False for NaN
 
     def _direction(self, pixel: np.ndarray, pose: np.ndarray, camera: Camera, side: int) -> np.ndarray:
-        """(2,) yaw and pitch of the eye whose iris is seen at ``pixel``, or NaN."""
+        """(2,) yaw and pitch, rad, of an eye with its iris at ``pixel``; NaN if it misses the ball or the turn is too large."""
         ray = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0])
         ray = pose[:3, :3].T @ (ray / np.linalg.norm(ray))
         start = -pose[:3, :3].T @ pose[:3, 3] - self._insides.eye_centres[side]
@@ -107,9 +123,16 @@ class GazeEstimator:
 
 
 class GazeTrack:
-    """The gaze over a take: what is unknown is held, what jitters is calmed, jumps of the eyes pass.
+    """The gaze over a take, frame by frame.
 
-    It takes frames one by one. ``keep``: :meth:`arrays` gives all of them at the end.
+    Unknown gaze keeps its last value. Jitter is smoothed, and jumps of the eyes are not.
+
+    Parameters
+    ----------
+    actor : Actor
+        The tracked actor.
+    keep : bool
+        Whether to keep every frame for :meth:`arrays`.
     """
 
     def __init__(self, actor: Actor, keep: bool = True) -> None:
@@ -119,10 +142,21 @@ class GazeTrack:
         self._kept: list | None = [] if keep else None
 
     def add(self, measured: np.ndarray | None) -> np.ndarray:
-        """Take (2, 2) rad, NaN where unknown, or None for a frame without a face; the smoothed gaze (2, 2)."""
+        """Add the measurement of one frame and return the smoothed gaze.
+
+        Parameters
+        ----------
+        measured : (2, 2) array or None
+            As :meth:`GazeEstimator.measure` returns it. None for a frame without a face.
+
+        Returns
+        -------
+        (2, 2) array
+            Yaw and pitch of the left and the right eye, rad.
+        """
         measured = np.full((2, 2), np.nan) if measured is None else measured
         known = np.isfinite(measured).all(axis=1)
-        if known.any():  # an eye that is not seen looks where the other one does
+        if known.any():  # an eye that is not seen is assumed to look where the other one does
             measured = np.where(known[:, None], measured, measured[known].mean(axis=0))
             step = measured - self._now
             share = np.clip(np.abs(step).max(axis=1) / _JUMP, _CALM, 1.0)
@@ -134,25 +168,25 @@ class GazeTrack:
         return self._now
 
     def see(self, tracked, frame) -> np.ndarray:
-        """The gaze (2, 2) in a tracked frame and the :class:`~adaptiveface.geometry.frame.RgbdFrame` that it came from."""
+        """Measure, add and return the gaze (2, 2) of a tracked frame, given the input frame that it came from."""
         return self.add(self._estimator.see(tracked, frame))
 
     @property
     def begun(self) -> bool:
-        """Whether an iris was seen so far."""
+        """Whether an iris has been seen so far."""
         return bool(self._begun.any())
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """``gaze`` (F, 2, 2) float32 and ``gaze_known`` (F, 2) for a result; nothing where no iris was ever seen."""
+        """``gaze`` (F, 2, 2) float32, rad, and ``gaze_known`` (F, 2) bool for a result; empty if no iris was ever seen."""
         if not self.begun or not self._kept:
             return {}
         gaze, known = zip(*self._kept, strict=True)
         return {"gaze": np.array(gaze, np.float32), "gaze_known": np.array(known)}
 
     def onto(self, result):
-        """The :class:`~adaptiveface.result.Result` with the gaze of its frames; as it is where no iris was seen.
+        """Return the :class:`~adaptiveface.result.Result` with the gaze of its frames, or unchanged if no iris was seen.
 
-        An interruption may have come between a frame of the result and its gaze: then the last gaze is held.
+        A run that was interrupted may have tracked a frame without measuring its gaze. Such frames repeat the last gaze.
         """
         arrays, count = self.arrays(), len(result)
         if not arrays or not count:

@@ -1,4 +1,4 @@
-"""Eyeballs, teeth, tongue and mouth fitted to one head of the embedded model's mesh, and how they follow its skin."""
+"""Fit eyeballs, teeth, tongue and mouth to a head with the embedded model's mesh, and move them with its skin."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from ..model.face_model import FaceModel, embedded_face_model
 from .parts import CAVITY, CORNEA, eyeball_mesh, rim_height, smooth_ring, strip, teeth_mesh, tongue_mesh
 
 IRIS = (92, 116, 128)
-#: The rigid parts by number, and the number of what is soft.
+#: Numbers of the rigid parts, and of the soft vertices.
 PARTS = LEFT_EYE, RIGHT_EYE, UPPER, LOWER = range(4)
 SOFT = -1
-#: Skin stays this far in front of an eyeball, mm: half the sag of a lid's triangles.
+#: Distance of the skin in front of an eyeball, mm: half the sag of a lid's triangles.
 CLEARANCE = 0.35
-#: An iris, and how far its centre lies above the middle between the lids of an eye that looks ahead, mm.
+#: Radius of an iris, and height of its centre above the middle between the lids when the eye looks ahead, mm.
 IRIS_RADIUS, IRIS_RISE = 5.85, 0.5
-#: A lip's rim covers the teeth within this radius, mm.
+#: Radius within which the rim of a lip covers the teeth, mm.
 LIP_WIDTH = 2.0
-#: Rings of the mouth behind its rim: depth mm, how far it widens, how much it follows the rim, and its light.
+#: Rings of the mouth behind its rim: depth in mm, widening, share of the rim's motion, and brightness.
 _MOUTH = ((0.0, 0.0, 1.0, 1.0), (4.0, 0.3, 0.97, 0.8), (14.0, 0.9, 0.85, 0.5), (44.0, 0.8, 0.6, 0.3))
-#: Largest height of the mouth behind the lips, mm to each side.
+#: Largest height of the mouth behind the lips, mm above and below its middle.
 _MOUTH_HEIGHT = 15.0
 
 
 @dataclass(frozen=True)
 class Insides:
-    """The parts of one head: triangles (T, 3) of P vertices, colours (P, 3) uint8; millimetres, head frame.
+    """The parts inside one head, in millimetres and the head frame. :meth:`at` places them all.
 
-    eye_centres (2, 3), eye_radii (2,): the subject's left eye first. ``at`` places all parts in a head.
+    ``triangles`` (T, 3) are triangles of P vertices, and ``colours`` (P, 3) are uint8. ``eye_centres`` (2, 3) and
+    ``eye_radii`` (2,) list the subject's left eye first.
     """
 
     triangles: np.ndarray
@@ -51,7 +52,7 @@ class Insides:
 
     @cached_property
     def part(self) -> np.ndarray:
-        """(P,) int8: which of the rigid :data:`PARTS` a vertex belongs to; -1 for the soft parts, which go with the skin."""
+        """(P,) int8 number of each vertex's rigid part among :data:`PARTS`; -1 for soft vertices, which move with the skin."""
         ball, lids = np.full(len(self.eyeball), LEFT_EYE), [np.full(2 * len(loop), SOFT) for loop in self.lid_loops]
         pieces = [ball, lids[0], ball + (RIGHT_EYE - LEFT_EYE), lids[1]]
         pieces += [np.full(len(self.upper), UPPER), np.full(len(self.lower), LOWER)]
@@ -60,7 +61,7 @@ class Insides:
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """(P, 3) mm: the rigid parts where their placement is the identity; zero for the soft parts."""
+        """(P, 3) vertices of the rigid parts under the identity placement, mm; zero for the soft parts."""
         out = np.zeros((len(self.part), 3))
         balls = [radius * self.eyeball for radius in self.eye_radii]
         for number, points in enumerate((*balls, self.upper, self.lower)):
@@ -68,14 +69,24 @@ class Insides:
         return out
 
     def at(self, skin: np.ndarray, gaze: np.ndarray | None = None) -> np.ndarray:
-        """(P, 3) mm: the parts inside a head whose skin is ``skin`` (N, 3), head frame.
+        """Place the parts inside a head.
 
-        gaze (2, 2): yaw and pitch of the left and the right eye, rad, as :func:`gaze_rotation` takes them.
+        Parameters
+        ----------
+        skin : (N, 3) array
+            Vertices of the head's skin in the head frame, mm.
+        gaze : (2, 2) array, optional
+            Yaw and pitch of the left and the right eye, rad, as in :func:`gaze_rotation`. By default the eyes look ahead.
+
+        Returns
+        -------
+        (P, 3) array
+            Vertices of the parts in the head frame, mm.
         """
         return placed(self.rest, self.part, *self.motion(skin, gaze))
 
     def motion(self, skin: np.ndarray, gaze: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """What moves: placements (4, 3, 4) of the rigid :data:`PARTS`, and the vertices (n, 3) mm of the soft ones."""
+        """Placements (4, 3, 4) of the rigid :data:`PARTS` and soft vertices (n, 3), mm; parameters as for :meth:`at`."""
         turns = np.zeros((2, 2)) if gaze is None else gaze
         placements, soft = np.zeros((len(PARTS), 3, 4)), []
         for side, number in enumerate((LEFT_EYE, RIGHT_EYE)):
@@ -94,7 +105,7 @@ class Insides:
         return placements, np.concatenate(soft)
 
     def retreat(self, skin: np.ndarray, side: int) -> float:
-        """Millimetres by which an eyeball gives way to the lids, as eyes do when they blink."""
+        """Distance, mm, by which an eyeball moves back for its lids, as eyes do in a blink."""
         arm = skin[self.lid_skin[side]] - self.eye_centres[side]
         reach = self.eye_radii[side] * (1 + CORNEA) + CLEARANCE
         inside = reach**2 - (arm[:, :2] ** 2).sum(axis=1)
@@ -113,7 +124,7 @@ class Insides:
 
 
 def placed(rest: np.ndarray, part: np.ndarray, placements: np.ndarray, soft: np.ndarray) -> np.ndarray:
-    """(P, 3) mm: the parts of :class:`Insides` where :meth:`Insides.motion` says that they are."""
+    """(P, 3) vertices, mm, of the parts of :class:`Insides`, placed by the result of :meth:`Insides.motion`."""
     out = np.empty_like(rest)
     for number, placement in enumerate(placements):
         rows = part == number
@@ -123,14 +134,14 @@ def placed(rest: np.ndarray, part: np.ndarray, placements: np.ndarray, soft: np.
 
 
 def moved(motion: tuple[np.ndarray, np.ndarray], rotation: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What :meth:`Insides.motion` gives, in a head that is turned by (3, 3) and then shifted by (3,) mm."""
+    """The result of :meth:`Insides.motion` for a head that is rotated by (3, 3) and then shifted by (3,) mm."""
     placements, soft = rotation @ motion[0], motion[1] @ rotation.T + shift
     placements[:, :, 3] += shift
     return placements, soft
 
 
 def teeth_retreat(row: np.ndarray, lips: np.ndarray) -> float:
-    """Millimetres by which teeth (n, 3) give way to lips (m, 3) that roll in over them."""
+    """Distance, mm, by which teeth (n, 3) move back for lips (m, 3) that roll in over them."""
     before = row[row[:, 2] > lips[:, 2].min() - CLEARANCE]
     apart = [before[:, None, axis] - lips[None, :, axis] for axis in range(3)]
     covered = apart[0] ** 2 + apart[1] ** 2 < LIP_WIDTH**2
@@ -139,26 +150,45 @@ def teeth_retreat(row: np.ndarray, lips: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Jaw:
-    """The lower jaw as a hinge: chin (n,) vertices, hinge (3,) mm, solve (3, 3n) from their displacements to its motion."""
+    """The lower jaw as a hinge.
+
+    ``chin`` (n,) are vertex numbers, ``hinge`` (3,) is a point in mm, and ``solve`` (3, 3n) maps the displacements of the chin
+    to the motion of the jaw.
+    """
 
     chin: np.ndarray
     hinge: np.ndarray
     solve: np.ndarray
 
     def placement(self, displacement: np.ndarray) -> np.ndarray:
-        """(3, 4) motion of the jaw when the skin is displaced by (N, 3): opened, turned sideways, pushed forward."""
+        """(3, 4) motion of the jaw (opening, sideways turn, forward shift) when the skin is displaced by (N, 3) mm."""
         opened, turned, forward = self.solve @ displacement[self.chin].ravel()
         rotation = rotation_vector_matrix(np.array([opened, turned, 0.0]))
         return np.column_stack([rotation, self.hinge - rotation @ self.hinge + [0.0, 0.0, forward]])
 
 
 def gaze_rotation(yaw: float, pitch: float) -> np.ndarray:
-    """(3, 3) rotation of an eyeball in the head frame: yaw to the subject's left (+x), then pitch upwards; rad."""
+    """(3, 3) rotation of an eyeball in the head frame by yaw to the subject's left (+x) and pitch upwards, rad."""
     return rotation_vector_matrix(np.array([0.0, yaw, 0.0])) @ rotation_vector_matrix(np.array([-pitch, 0.0, 0.0]))
 
 
 def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, int, int] = IRIS) -> Insides | None:
-    """The parts fitted to a neutral head (N, 3) mm; None where the mesh is not the embedded model's."""
+    """Fit the parts to a neutral head.
+
+    Parameters
+    ----------
+    neutral : (N, 3) array
+        Vertices of the neutral head in the head frame, mm.
+    triangles : (T, 3) array
+        The triangles of its mesh.
+    iris : tuple of int
+        Colour of the irises, RGB in 0..255.
+
+    Returns
+    -------
+    Insides or None
+        None if the mesh is not the embedded model's.
+    """
     model = embedded_face_model()
     if not np.array_equal(triangles, model.triangles) or model.eye_mean is None:
         return None
@@ -168,7 +198,7 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     centres, radii = _eyes(model, neutral, lids)
     near = tuple(np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0) for loop in lids)
     upper, lower, triangles_of_row, colours_of_row, tongue = _mouth_parts(marks)
-    # The model's open mouth tells the upper lip from the lower one. Lips at rest touch, and those of a fitted head may cross.
+    # The model's open mouth separates the upper lip from the lower one. Lips at rest touch, and a fitted head's may cross.
     height = rim_height((model.mean + model.expressions[model.expression_names.index("jawOpen")])[mouth]) * _MOUTH_HEIGHT
     ball, ball_triangles, ball_colours = eyeball_mesh(iris)
     flesh = np.array([[206, 148, 138], [150, 92, 88]], float)
@@ -179,7 +209,7 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     pieces += [triangles_of_row, triangles_of_row[:, ::-1], tongue[1], _closed(len(_MOUTH), len(mouth))]
     light = np.append(np.repeat([ring[3] for ring in _MOUTH], len(mouth)), 0.25)
     colours += [colours_of_row, colours_of_row, tongue[2], light[:, None] * np.array(CAVITY, float)]
-    # A strip and its ball are two pieces, each with vertices of its own.
+    # A strip and its ball are separate pieces, each with its own vertices.
     starts = np.cumsum([0, *map(len, colours)])
     return Insides(
         np.concatenate([start + t for start, t in zip(starts, pieces, strict=False)]).astype(np.int32),
@@ -199,10 +229,10 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
 
 
 def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.ndarray]:
-    """Centres and radii of the model's mean eyeballs, scaled and moved to the lids, as far back as these ask for.
+    """Centres (2, 3) and radii (2,), mm, of the model's mean eyeballs, scaled and moved to lie behind the lids.
 
-    They are translated, not rotated. A rotation fitted to the small rim of the lids follows the slope of the lids. It would
-    carry the centre, which lies 15 mm behind them, several millimetres up on some real heads, and the eyes would look up.
+    The eyeballs are translated, not rotated. A rotation fitted to the small rim of the lids follows the slope of the lids.
+    It would move the centre, 15 mm behind the lids, up by several millimetres on some real heads, and the eyes would look up.
     """
     centres, radii = [], []
     for side, loop in zip((1, -1), lids, strict=True):
@@ -213,7 +243,7 @@ def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.n
         placed = target.mean(axis=0) + size * (centre - source.mean(axis=0))
         placed[1] = _iris_height(target, placed[0])
         radius *= size / (1 + CORNEA)
-        reach = np.linalg.norm(target - placed, axis=1).min() - CLEARANCE  # of the cornea, before it meets a lid
+        reach = np.linalg.norm(target - placed, axis=1).min() - CLEARANCE  # of the cornea before it meets a lid
         placed[2] -= max(radius * (1 + CORNEA) - reach, 0.0)
         centres.append(placed)
         radii.append(radius)
@@ -221,21 +251,21 @@ def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.n
 
 
 def _iris_height(rim: np.ndarray, x: float) -> float:
-    """The height, mm, of an iris that looks ahead at ``x`` between lids (n, 3). The upper lid covers more of it."""
+    """Height, mm, of an iris that looks ahead at ``x`` between lids (n, 3). The upper lid covers more of it than the lower."""
     near = rim[np.abs(rim[:, 0] - x) < IRIS_RADIUS]
     middle = 0.5 * (near[:, 1].max() + near[:, 1].min())
     return float(middle + IRIS_RISE)
 
 
 def sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of the sphere through points (n, 3), least squares."""
+    """Centre (3,) and radius of the least-squares sphere through points (n, 3)."""
     system = np.column_stack([2 * points, np.ones(len(points))])
     solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
     return solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
 
 
 def _mouth_parts(marks: np.ndarray):
-    """Upper row (n, 3), lower row (n, 3), their triangles and colours, and the tongue, behind the lips' landmarks."""
+    """Upper row (n, 3), lower row (n, 3), their triangles and colours, and the tongue, placed by the lips' landmarks."""
     place = {int(number): marks[k] for k, number in enumerate(FEATURE_IDS)}
     size = np.linalg.norm(place[60] - place[64]) / 45.0
     line = 0.5 * (place[62] + place[66])
@@ -252,7 +282,7 @@ def _mouth_parts(marks: np.ndarray):
 
 @lru_cache(maxsize=1)
 def _openings() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The rims (vertex numbers in order) of left eye, right eye and mouth of the embedded model's mesh."""
+    """Vertex numbers, in order, of the rims of the left eye, the right eye and the mouth in the embedded model's mesh."""
     model = embedded_face_model()
     marks = surface_points(model.mean, model.feature_triangles, model.feature_weights)
     loops = boundary_loops(model.triangles, len(model.mean))
@@ -262,7 +292,7 @@ def _openings() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _jaw(model: FaceModel, neutral: np.ndarray) -> Jaw:
-    """The hinge of the model's jaw-open unit, seen from the chin of this head."""
+    """The hinge of the model's jaw-open unit, moved with the chin of this head."""
     unit = model.expressions[model.expression_names.index("jawOpen")]
     chord, middle = unit[:, 1:], model.mean[:, 1:] + 0.5 * unit[:, 1:]
     length = np.linalg.norm(chord, axis=1)
@@ -276,7 +306,7 @@ def _jaw(model: FaceModel, neutral: np.ndarray) -> Jaw:
 
 
 def _closed(rings: int, count: int) -> np.ndarray:
-    """Triangles of rings whose last is closed by one more vertex."""
+    """Triangles of rings of ``count`` vertices each; one more vertex closes the last ring."""
     k = np.arange(count)
     end = np.stack([(rings - 1) * count + k, np.full(count, rings * count), (rings - 1) * count + (k + 1) % count], axis=1)
     return np.concatenate([strip(rings, count, closed=True), end])

@@ -1,19 +1,19 @@
-"""Meshes of what is inside a head: an eyeball, a row of teeth, a tongue; plain geometry in millimetres."""
+"""Build meshes of the parts inside a head: an eyeball, a row of teeth and a tongue, in millimetres."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Angles (degrees from the gaze) of the rings of an eyeball's mesh, and where pupil, iris and limbus end: on the model's
-#: eyeballs, whose radius is 16 mm, an iris as wide as people's (11.7 mm).
+#: Angles of the rings of an eyeball's mesh, and the ends of pupil, iris and limbus, in degrees from the gaze. On the model's
+#: eyeballs, whose radius is 16 mm, the iris is as wide as a person's (11.7 mm).
 RINGS = (0.0, 4.5, 8.5, 8.7, 14.0, 19.5, 20.9, 21.1, 28.0, 38.0, 52.0, 70.0, 90.0, 112.0, 140.0, 180.0)
 PUPIL, IRIS, LIMBUS = 8.6, 20.0, 21.0
 SECTORS = 20
-#: The cornea's height over the ball, as a share of its radius.
+#: Height of the cornea above the ball, as a share of the ball's radius.
 CORNEA = 0.045
 WHITE, BLACK = (238, 234, 228), (12, 10, 10)
 IVORY, GUM, TONGUE, CAVITY = (232, 226, 210), (176, 92, 92), (186, 96, 98), (70, 26, 28)
-#: Teeth of one row that are drawn apart, and points of the mesh across each.
+#: Number of separate teeth in a row, and mesh points across each.
 TEETH, ACROSS = 14, 6
 
 
@@ -26,7 +26,7 @@ def strip(rows: int, columns: int, closed: bool = False) -> np.ndarray:
 
 
 def eyeball_mesh(iris: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (n, 3), triangles (t, 3), colours (n, 3) in 0..255 of an eyeball of radius 1 that looks along +z."""
+    """Vertices (n, 3), triangles (t, 3) and colours (n, 3) in 0..255 of an eyeball of radius 1 that looks along +z."""
     angle = np.radians(np.array(RINGS))
     around = 2 * np.pi * np.arange(SECTORS) / SECTORS
     ring = np.stack([np.cos(around), np.sin(around), np.zeros(SECTORS)], axis=1)
@@ -48,23 +48,38 @@ def eyeball_mesh(iris: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np
     colours[from_gaze < LIMBUS] = ((0.75 + 0.45 * shade) * np.array(iris))[from_gaze < LIMBUS]
     colours[(from_gaze > 19.1) & (from_gaze < LIMBUS)] *= 0.45
     colours[from_gaze < PUPIL] = BLACK
-    # The cornea: a low dome over the iris catches the light.
+    # The cornea is a low dome over the iris that catches the light.
     dome = 1 + CORNEA * np.cos(np.clip(from_gaze / LIMBUS, 0, 1) * np.pi / 2)
     return unit * dome[:, None], triangles, np.clip(colours, 0, 255)
 
 
 def teeth_mesh(half_width: float, depth: float, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Upper teeth: vertices (n, 3) mm, triangles (t, 3), colours (n, 3).
+    """Build the upper row of teeth. The lower row is the same mesh upside down.
 
-    The biting edge of the front teeth is the origin; the arch is half an ellipse, ``half_width`` to the sides and
-    ``depth`` back. ``height``: of the front teeth. The lower row is the upper one turned upside down.
+    The origin is the biting edge of the front teeth, and the arch is half an ellipse.
+
+    Parameters
+    ----------
+    half_width, depth : float
+        Half-axes of the arch, to the sides and backwards, mm.
+    height : float
+        Of the front teeth, mm.
+
+    Returns
+    -------
+    vertices : (n, 3) array
+        In mm.
+    triangles : (t, 3) array
+        Vertex numbers.
+    colours : (n, 3) array
+        RGB in 0..255.
     """
     columns = TEETH * ACROSS + 1
     place = np.linspace(-1, 1, columns)
     theta = np.radians(84.0) * place
     across = np.abs((np.arange(columns) % ACROSS) / ACROSS - 0.5) * 2  # 1 between two teeth, 0 in the middle of one
     crown = height * (1 - 0.28 * np.abs(place))
-    # Rows from the gum over the front and the edge to the back: (height above the edge, inwards), gum or tooth.
+    # Rows from the gum over the front and the edge to the back: height above the edge, distance inwards, 1 for gum.
     rows = ((1.7, 3.4, 1), (1.25, 1.0, 1), (1.0, 0.3, 0), (0.7, 0.0, 0), (0.3, 0.05, 0), (0.03, 0.5, 0), (0.0, 1.2, 0))
     rows += ((0.1, 2.2, 0), (0.7, 3.6, 0), (1.1, 4.2, 1), (1.6, 6.5, 1))
     points, colours = [], []
@@ -82,7 +97,7 @@ def teeth_mesh(half_width: float, depth: float, height: float) -> tuple[np.ndarr
 
 
 def tongue_mesh(half_width: float, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, triangles and colours of a tongue whose tip is the origin; it lies back along -z."""
+    """Vertices (n, 3) mm, triangles (t, 3) and colours (n, 3) of a tongue that extends from its tip, the origin, along -z."""
     along = np.linspace(0.0, 1.0, 15)
     around = 2 * np.pi * np.arange(20) / 20
     rings = []
@@ -100,7 +115,7 @@ def tongue_mesh(half_width: float, length: float) -> tuple[np.ndarray, np.ndarra
 
 
 def rim_height(rim: np.ndarray) -> np.ndarray:
-    """(n,) in [-1, 1]: positive on the upper half of the rim, 0 at the corners."""
+    """(n,) heights in [-1, 1] along a rim (n, 3): positive on its upper half, 0 at its corners."""
     left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
     n, out = len(rim), np.zeros(len(rim))
     halves = [np.arange(a, a + (b - a) % n + 1) % n for a, b in ((left, right), (right, left))]

@@ -1,14 +1,14 @@
-"""The 40 facial features of the method, detected by MediaPipe's FaceLandmarker on the colour image.
+"""Detect the 40 facial features of the method in colour images with MediaPipe's FaceLandmarker.
 
-Measured on a real TrueDepth recording of a rigid head (poses from depth ICP, 56 frames around the front): single-image
-mode lies 1.29 px from the truth, video mode 1.64 px because its smoothing lags behind the motion, at nearly the same
-noise from frame to frame (0.55 and 0.51 px). MediaPipe smooths only where it looks for one face (``num_faces=1``). Where
-it looks for several, video mode returns the very numbers of single-image mode (that recording and 240 frames of a
-synthetic performer, bit for bit; the latter: 0.68 px without the constant part, no lag, against 0.90 px and a lag of a
-third of a frame) in the same time, 7.4 ms a frame. So both modes here look for several faces, and one is kept.
+Both of its modes look for several faces here, and one face is kept. MediaPipe smooths only when it looks for a single face
+(``num_faces=1``), and the smoothing lags behind the motion. On a real TrueDepth recording of a rigid head (poses from depth
+ICP, 56 frames around the front), single-image mode is 1.29 px from the truth and smoothed video mode is 1.64 px. The noise
+from frame to frame is nearly the same (0.55 and 0.51 px). On 240 frames of a synthetic performer, the errors without their
+constant part are 0.68 px with no lag and 0.90 px with a lag of a third of a frame. When video mode looks for several faces,
+it returns the same numbers as single-image mode on both, bit for bit, in the same time (7.4 ms per frame).
 
-Enlarging the image by 2 or 3 changed nothing (1.29, 1.28 px): the network resizes the face itself. Nor did lower
-thresholds help in profile views: the few faces found beyond 65 degrees came with false ones.
+Two changes did not help. Enlarging the image by 2 or 3 makes no difference (1.29 and 1.28 px), because the network resizes
+the face itself. Lower thresholds find a few more faces beyond 65 degrees in profile views, but also false ones.
 """
 
 from __future__ import annotations
@@ -34,33 +34,36 @@ from .kept_face import KeptFace, VideoClock
 from .model_file import ENVIRONMENT, face_landmarker_file
 from .windows import Window, own_window, search_windows
 
-#: Behind the nearest surface, this much depth (mm) is taken to be the person when the face is sought in a crop.
+#: Depth behind the nearest surface that counts as the person when the face is searched for in a crop, mm.
 _FOREGROUND_MM = 500.0
-#: Confidence of a feature seen from the front. The weights of the method are for features with 0.5 px of noise; those
-#: detected here are 0.9 px (root mean square) off, mostly alike for a whole expression. The inverse ratio of variances.
+#: Confidence of a feature seen from the front: the inverse ratio of variances. The weights of the method are for features
+#: with 0.5 px of noise. Features detected here are off by 0.9 px (root mean square), mostly alike for a whole expression.
 TRUST = 0.3
-#: Faces looked for in a picture; one would switch MediaPipe's smoothing on.
+#: Number of faces to look for in a picture. With one, MediaPipe would smooth.
 MAX_FACES = 3
 
-#: Shares (40, 468) of MediaPipe's skin landmarks in each feature: its landmark of the same name lies up to 2 mm from the
-#: model's feature, alike on every face. Made by ``data_synth/place_detected_features.py``.
+#: Shares (40, 468) of MediaPipe's skin landmarks in each feature. MediaPipe's landmark of the same name is up to 2 mm away
+#: from the model's feature, alike on every face. ``data_synth/place_detected_features.py`` makes this file.
 _PLACES = "mediapipe_features.npz"
 
-#: Landmarkers of MediaPipe that are not closed yet, and those whose detector is gone. MediaPipe's own finaliser waits for a
-#: thread that the garbage collector may have ended already, then for ever: it must never find one open.
+#: Landmarkers of MediaPipe that are still open, and those whose detector is gone. MediaPipe's own finaliser must never find
+#: one open: it waits for a thread that the garbage collector may already have ended, and would then wait for ever.
 _open: set = set()
 _abandoned: deque = deque()
 
 
-@atexit.register  # earlier than the import of MediaPipe, hence run after its own handler, which makes closing quiet
+@atexit.register  # registered before MediaPipe's own handler, so it is called after it; that makes closing quiet
 def _close_all() -> None:
     _abandoned.extend(_open)
     _close_abandoned()
 
 
 def _close_abandoned() -> None:
-    """Not when a detector is collected, which may happen at any step, with locks held: when the next one is made."""
-    with suppress(IndexError):  # none is left; several threads may be at it
+    """Close the landmarkers whose detector is gone. This is done when the next detector is made.
+
+    It must not be done when a detector is collected, because that may happen at any step and while locks are held.
+    """
+    with suppress(IndexError):  # none is left; several threads may do this at once
         while True:
             _close(_abandoned.popleft())
 
@@ -73,11 +76,21 @@ def _close(landmarker) -> None:
 
 
 class FeatureDetector:
-    """Finds the 40 features of :data:`adaptiveface.geometry.frame.FEATURE_IDS` in colour images, of one face that it keeps.
+    """Finds the 40 features of :data:`adaptiveface.geometry.frame.FEATURE_IDS` in colour images and follows one face.
 
-    ``video``: MediaPipe's video mode, for a live stream; otherwise single images. ``model_path`` names the model file,
-    by default the one of :func:`face_landmarker_file`. Raises :class:`MissingExtraError` without mediapipe,
-    :class:`FeatureDetectionError` when it or its model cannot be loaded.
+    Parameters
+    ----------
+    model_path : path-like, optional
+        The model file, by default the one of :func:`face_landmarker_file`.
+    video : bool
+        Whether to use MediaPipe's video mode, for a live stream.
+
+    Raises
+    ------
+    MissingExtraError
+        MediaPipe is not installed.
+    FeatureDetectionError
+        MediaPipe or its model cannot be loaded.
     """
 
     def __init__(self, model_path: str | os.PathLike | None = None, *, video: bool = False) -> None:
@@ -92,13 +105,13 @@ class FeatureDetector:
         self._video = self._load(vision.RunningMode.VIDEO) if video else None
         self._video_size: tuple[int, ...] = ()
         self._clock, self._kept = VideoClock(), KeptFace()
-        self._window: Window | None = None  # the kept face's own, where it is small
+        self._window: Window | None = None  # the kept face's own window, if the face is small
         self._turn = 0
         edges = vision.FaceLandmarksConnections.FACE_LANDMARKS_TESSELATION  # listed triangle by triangle
         self._triangles = np.array([edge.start for edge in edges], np.int32).reshape(-1, 3)
 
     def _load(self, mode):
-        """A landmarker of MediaPipe in one of its running modes, with its threads started."""
+        """Create a MediaPipe landmarker in one of its running modes and start its threads."""
         options = self._vision.FaceLandmarkerOptions(
             base_options=self._base_options(model_asset_path=self._path),
             running_mode=mode,
@@ -126,12 +139,17 @@ class FeatureDetector:
             _close(landmarker)
 
     def detect(self, frame: RgbdFrame) -> Features2D | None:
-        """Features in pixels of the frame with their :func:`confidence`; None without a colour image or without a face.
+        """Find the features of the followed face in the next frame.
 
-        Of several faces the one kept so far (see :class:`KeptFace`). Where the whole image shows no face, the
-        foreground of the depth image or, without it, overlapping windows are searched again: a face below about a twelfth
-        of the image's width is too small for the detector. It is then followed in a window of its own. A stream is
-        searched window by window from frame to frame, so that it does not fall behind.
+        If there are several faces, :class:`KeptFace` chooses. A face below about a twelfth of the image's width is too small
+        for the detector. If no face is found in the whole image, the foreground of the depth image is therefore searched
+        next, and then overlapping windows. A small face is followed in its own window. A stream is searched in one window
+        per frame, so that it does not fall behind.
+
+        Returns
+        -------
+        Features2D or None
+            Features in pixels of the frame with their :func:`confidence`. None without a colour image or a face.
         """
         if frame.colour is None:
             return None
@@ -139,7 +157,7 @@ class FeatureDetector:
         if face is None:
             faces = self._detect_stream(frame) if self._video else self.detect_faces(frame.colour)
             faces = faces or self._in_foreground(frame)
-            if faces:  # found as ever, and followed as ever
+            if faces:  # found, and followed, without a window
                 return self._features(_choose(self._kept, faces, frame))
             face = _choose(self._kept, self._in_windows(frame, self._next()), frame)
         if face is not None:
@@ -147,18 +165,18 @@ class FeatureDetector:
         return self._features(face)
 
     def look(self, frame: RgbdFrame) -> Features2D | None:
-        """As :meth:`detect`, for one picture by itself: it neither knows nor remembers any other."""
+        """Detect features as :meth:`detect` does, in a single picture, without using or changing the followed face."""
         if frame.colour is None:
             return None
         faces = self.detect_faces(frame.colour) or self._in_foreground(frame) or self._in_windows(frame, None)
         return self._features(_choose(KeptFace(), faces, frame))
 
     def forget(self) -> None:
-        """Forget the face that was kept: the next picture is free to show another."""
+        """Forget the followed face, so that the next picture may show another one."""
         self._kept, self._window = KeptFace(), None
 
     def _follow(self, frame: RgbdFrame) -> DetectedFace | None:
-        """The kept face in its own window; None, and no window any more, where it is not there."""
+        """The kept face in its own window. If it is not there, the window is dropped and None returned."""
         window, self._window = self._window, None
         if window is None or max(window[2] - frame.colour.shape[1], window[3] - frame.colour.shape[0]) > 0:
             return None
@@ -166,7 +184,7 @@ class FeatureDetector:
         return _choose(self._kept, faces, frame) if faces else None
 
     def _next(self) -> int | None:
-        """Which window a stream is searched in this time; None: single images are searched in all of them."""
+        """Number of the window in which a stream is searched this time; None for single images, searched in all windows."""
         self._turn += 1
         return self._turn if self._video else None
 
@@ -193,16 +211,28 @@ class FeatureDetector:
         return Features2D(feature_pixels(face.mesh), confidence(face.mesh, self._triangles), face)
 
     def detect_faces(self, colour: np.ndarray) -> list[DetectedFace]:
-        """Every face in ``colour`` (H, W, 3) uint8 RGB: landmarks in pixels with depth on their scale, and scores.
+        """Find every face in an image.
 
-        MediaPipe's coordinate times the image's width counts from the first pixel's centre, as ours do (measured: in
-        images enlarged 4 times they move by the 3/8 pixel that this convention implies).
+        Parameters
+        ----------
+        colour : (H, W, 3) uint8 array
+            An RGB image.
+
+        Returns
+        -------
+        list of DetectedFace
+            Landmarks in pixels, with their depth on the same scale, and scores.
+
+        Notes
+        -----
+        MediaPipe's coordinate times the image's width counts from the centre of the first pixel, as ours do. This was
+        measured: in images enlarged 4 times, the landmarks move by the 3/8 pixel that this convention implies.
         """
         return _in_pixels(self._landmarker.detect(self._image(colour)), colour.shape)
 
     def _detect_stream(self, frame: RgbdFrame) -> list[DetectedFace]:
-        """As :meth:`detect_faces`, for the next frame of a stream."""
-        if self._video_size not in ((), frame.colour.shape):  # where the faces were is stored as a share of the image
+        """Find faces as :meth:`detect_faces` does, in the next frame of a stream."""
+        if self._video_size not in ((), frame.colour.shape):  # MediaPipe stores the places of faces as shares of the image
             _close(self._video)
             self._loaded.remove(self._video)
             self._video, self._clock = self._load(self._vision.RunningMode.VIDEO), VideoClock()
@@ -223,7 +253,7 @@ def _places() -> np.ndarray:
 
 
 def feature_pixels(mesh: np.ndarray) -> np.ndarray:
-    """(40, 2) px: the model's features on MediaPipe's ``mesh`` (478, 3) px, each by its landmark and the ones next to it."""
+    """(40, 2) places of the features on MediaPipe's ``mesh`` (478, 3), px: each a weighted mean of neighbouring landmarks."""
     places = _places()
     return places @ mesh[: places.shape[1], :2]
 
@@ -235,17 +265,29 @@ def _in_pixels(found, shape: tuple[int, ...]) -> list[DetectedFace]:
 
 
 def _scores(categories) -> np.ndarray:
-    """(51,) scores in the order of ``SCORE_NAMES``; 0 for one that the model file does not give."""
+    """(51,) scores in the order of ``SCORE_NAMES``; 0 for a score that the model file does not give."""
     found = {category.category_name: category.score for category in categories}
     return np.array([found.get(name, 0.0) for name in SCORE_NAMES])
 
 
 def confidence(mesh: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(40,) in [0, TRUST]: how far each feature of ``mesh`` (478, 3), pixels, can be trusted when the head is turned away.
+    """How far each feature can be trusted when the head is turned away.
 
-    The detector guesses the far side. On a rigid head its error grows from 1.1 px where the skin faces the camera to
-    3.9 px where it faces away, and on all features alike from 1.0 px to 6 px as the whole face turns to the profile;
-    the confidence follows the inverse variance of both, and ends at ``TRUST``.
+    The detector guesses the far side of the face. On a rigid head, its error grows from 1.1 px where the skin faces the
+    camera to 3.9 px where the skin faces away. The error of all features grows from 1.0 px to 6 px as the whole face turns
+    to the profile. The confidence follows the inverse variance of both errors.
+
+    Parameters
+    ----------
+    mesh : (478, 3) array
+        MediaPipe's landmarks, px.
+    triangles : (T, 3) array
+        Triangles of its skin.
+
+    Returns
+    -------
+    (40,) array
+        In [0, TRUST].
     """
     facing = -vertex_normals(mesh[: triangles.max() + 1], triangles)[MEDIAPIPE_INDICES, 2]
     own = np.clip((facing + 0.3) / 1.1, 0.0, 1.0)
@@ -254,7 +296,7 @@ def confidence(mesh: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def foreground_box(depth: np.ndarray) -> tuple[int, int, int, int]:
-    """u_min, v_min, u_end, v_end of what lies within half a metre behind the nearest surface of ``depth`` (H, W) mm."""
+    """u_min, v_min, u_end, v_end of all that is within half a metre behind the nearest surface of ``depth`` (H, W), mm."""
     measured = depth > 0
     if not measured.any():
         return 0, 0, 0, 0
@@ -265,7 +307,7 @@ def foreground_box(depth: np.ndarray) -> tuple[int, int, int, int]:
 
 @contextmanager
 def _native_stderr_closed() -> Iterator[None]:
-    """MediaPipe's libraries print start-up notices that no setting turns off and that would bury our own messages."""
+    """Silence the start-up notices of MediaPipe's libraries, which no setting turns off and which would bury our messages."""
     sys.stderr.flush()
     saved, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

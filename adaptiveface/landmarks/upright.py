@@ -1,7 +1,8 @@
-"""Which way up the pictures are, by what the detector itself finds in them: phones lie on their side, rigs hang upside down.
+"""Find out which way up the pictures are, for phones that lie on their side and rigs that hang upside down.
 
-The detector finds faces that are turned by up to a quarter, and says so by where it puts eyes and mouth; upside down it finds
-none, or an upright one in the wrong place. So each picture is shown to it in all four ways, and the ways vote.
+The detector itself is the judge. It finds faces that are rotated by up to a quarter turn, and the places of eyes and mouth show
+the rotation. In a picture that is upside down, it finds no face, or an upright one in the wrong place. Each picture is
+therefore shown to it in all four orientations, and the orientations collect votes.
 """
 
 from __future__ import annotations
@@ -15,20 +16,25 @@ import numpy as np
 from ..geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..sensors.orientation import AnyFrame, turned
 
-#: Ways in which a picture is shown, in quarters of a turn anticlockwise: the first two agree where it is upright.
+#: Orientations in which a picture is shown, in quarter turns anticlockwise. For an upright picture the first two agree.
 _ORDER = (0, 1, 3, 2)
-#: Votes by which one way must lead to be taken for good; frames with a face after which the leading one is taken anyhow.
+#: Lead in votes at which an orientation is final, and number of frames with a face after which the leading one is final anyway.
 LEAD, MOST_FRAMES = 2, 12
 _log = logging.getLogger(__name__)
 
 
 class Upright:
-    """Finds features as ``detector`` does, in frames turned upright; ``name`` of their source, for what is said.
+    """Turns frames upright and detects their features.
 
-    With :meth:`spare` it lets frames pass unsearched, as long as the tracker is certain where the features are.
+    With :meth:`spare`, frames pass without a search while the tracker is certain of the features' places. ``quarters`` is the
+    number of quarter turns anticlockwise, which is final once ``decided`` is True.
 
-    ``quarters``: by how much frames are turned anticlockwise, for good once it is ``decided``. A detector that has no
-    ``look`` is taken as it is, and frames are never turned.
+    Parameters
+    ----------
+    detector
+        Detects features, such as a :class:`FeatureDetector`. Without a method ``look``, frames are never turned.
+    name : str
+        Name of the frames' source, for messages.
     """
 
     def __init__(self, detector, name: str = "") -> None:
@@ -39,11 +45,11 @@ class Upright:
         self._every, self._since = 1, 0
 
     def spare(self, every: int) -> None:
-        """From now on search every ``every``-th frame; 1, for a tracker that is not certain, searches the next one."""
+        """Search only every ``every``-th frame from now on. With 1, for an uncertain tracker, the next frame is searched."""
         self._every = every
 
     def detect(self, frame: AnyFrame) -> AnyFrame:
-        """``frame`` the right way up, with its features or None where no face is seen."""
+        """Return ``frame`` the right way up with its features, which are None without a face or a search."""
         found = turned(frame, self.quarters)
         self._since += 1
         if self.decided and self._since < self._every and frame.colour is not None:
@@ -77,13 +83,13 @@ class Upright:
         self.quarters = leading
 
     def _lead(self) -> int:
-        """By how many votes the leading way leads."""
+        """Lead of the first orientation over the second, in votes."""
         first, second, *_ = sorted((self._votes[quarters] for quarters in range(4)), reverse=True)
         return first - second
 
 
 def roll_quarters(features: Features2D) -> int:
-    """By how many quarters of a turn anticlockwise a face is turned in its picture: from the lips up to the eyes."""
+    """Rotation of a face in its picture, in quarter turns anticlockwise, by the direction from the lips up to the eyes."""
     eyes, lips = (np.nanmean(features.pixels[FEATURE_REGIONS == region], axis=0) for region in ("eyes", "lips"))
     right, down = eyes - lips
     return round(np.degrees(np.arctan2(-right, -down)) / 90.0) % 4

@@ -1,25 +1,26 @@
-"""Parts of a picture in which a face is sought that is too small for the detector in the whole of it.
+"""Choose the windows of a picture in which to search for a face that is too small for the detector.
 
-MediaPipe shrinks what it gets to about 200 pixels: a face below about a twelfth of the longer side is lost then.
+MediaPipe shrinks its input to about 200 pixels. A face below about a twelfth of the longer side is lost in the whole picture.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-#: A face wider than this share of the picture's longer side is found in the whole picture, and followed there.
+#: A face wider than this share of the picture's longer side is found and followed in the whole picture.
 LARGE = 0.14
-#: Side of a face's own window, in sizes of the face.
+#: Side of a face's own window, as a multiple of the face's size.
 ROOM = 3.5
 
-#: A window: u, v of its first pixel, and of the one behind its last.
+#: A window: u, v of its first pixel, and u, v one past its last pixel.
 Window = tuple[int, int, int, int]
 
 
 def search_windows(height: int, width: int) -> list[Window]:
-    """Overlapping squares that cover a picture: three along its longer side, the middle one first.
+    """Overlapping squares that cover a picture of ``height`` x ``width`` pixels, the middle one first.
 
-    Of a picture that is less than half as long again as it is high or wide: its middle and its four corners.
+    There are three along the longer side. If the longer side is less than 1.5 times the shorter one, there are five: the
+    middle and the four corners.
     """
     long, side = max(height, width), min(height, width)
     if long < 1.5 * side:
@@ -32,7 +33,7 @@ def search_windows(height: int, width: int) -> list[Window]:
 
 
 def own_window(mesh: np.ndarray, height: int, width: int) -> Window | None:
-    """The window around a face (n, 2 or more) px in which it is sought next; None where it is large enough without."""
+    """The window in which to search next for a face (n, 2 or more), px; None if the face is large enough without one."""
     low, high = mesh[:, :2].min(axis=0), mesh[:, :2].max(axis=0)
     size = float((high - low).max())
     if float(high[0] - low[0]) > LARGE * max(height, width):

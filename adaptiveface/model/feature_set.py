@@ -1,8 +1,8 @@
 """Define feature sets: points on the model's surface that a detector finds in pictures, and how reliable each of them is.
 
-Two sets come with the package: the paper's 40 features, which every face model and actor places for itself
-(:func:`paper_features`), and some 180 of MediaPipe's landmarks (:func:`landmark_set`), which ``data_synth/place_landmarks.py``
-placed and measured on rendered performers. A set is data: its size appears nowhere in the code.
+The package has one set, some 180 of MediaPipe's landmarks (:func:`landmark_set`), which ``data_synth/place_landmarks.py``
+placed and measured on rendered performers. A set is data: its size appears nowhere in the code. The paper's 40 features are
+not a set. Every face model and actor places them for itself.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ import numpy as np
 from ..errors import FileFormatError
 from ..files.records import array, read, record
 from ..geometry.camera import Camera
-from ..geometry.frame import FEATURE_IDS, FEATURE_REGIONS, LANDMARKS, MEDIAPIPE_INDICES, Features2D
+from ..geometry.frame import LANDMARKS, Features2D
 from ..geometry.mesh import surface_points
 
-#: Default deviations of the 40 features between persons, and from frame to frame, mm.
-PAPER_PERSONAL, PAPER_DEVIATION = 0.7, 1.0
 #: MediaPipe's meshes turn aside by this share more than the head, and nod by this share more (less: it is negative). Measured
 #: by ``data_synth/measure_detector.py``: 0.035 and -0.18 on rendered performers; on three real people 0.11 and -0.17. Two
 #: thirds of the nod are taken: what is taken out makes every other error of the pose larger.
@@ -122,16 +120,6 @@ def pitch_of(pose: np.ndarray) -> float:
 def opening_of(expressions: Sequence[str], coefficients: np.ndarray) -> float:
     """How far the jaw is open, 0 to 1, by the coefficients (A,) of ``expressions``; 0 if none of them opens it."""
     return float(dict(zip(expressions, coefficients, strict=False)).get(JAW, 0.0))
-
-
-def paper_features(rig) -> FeatureSet:
-    """The 40 features of the paper as a set, at their places on a face model or an actor."""
-    triangles, weights = rig.feature_triangles, rig.feature_weights
-    count = len(FEATURE_IDS)
-    deviation, personal = np.full((count, 1), PAPER_DEVIATION), np.full(count, PAPER_PERSONAL)
-    nothing, held_out = np.zeros((count, 3)), np.zeros(count, bool)
-    places = MEDIAPIPE_INDICES, FEATURE_REGIONS, triangles, weights
-    return FeatureSet(*places, nothing, held_out, personal, np.zeros(1), deviation, nothing)
 
 
 @lru_cache(maxsize=1)

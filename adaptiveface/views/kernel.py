@@ -41,6 +41,15 @@ def running_loop() -> asyncio.AbstractEventLoop | None:
         return None
 
 
+class Displayed:
+    """A view that a notebook shows by its ``widget``."""
+
+    def _ipython_display_(self) -> None:
+        from IPython.display import display
+
+        display(self.widget)
+
+
 def on_main_thread(function: Callable) -> Callable:
     """Run a widget callback on the kernel's main thread; the newest call wins. Decorate in code that a cell calls."""
     loop, waiting, lock = running_loop(), [], threading.Lock()

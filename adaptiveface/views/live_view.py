@@ -20,7 +20,7 @@ from ..model.actor import Actor
 from ..model.face_model import embedded_face_model
 from ..parameters import Parameters
 from ..sensors.live import LiveSensor
-from .kernel import BackgroundTask, on_main_thread, running_loop, strict
+from .kernel import BackgroundTask, Displayed, on_main_thread, running_loop, strict
 from .live_controls import LiveControls, alert, coverage_bars, dropped_frames, figures, instruction
 from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
 
@@ -35,7 +35,7 @@ BUILD_STEPS = {
 _DEGRADED = "<b>colour only: no depth, degraded.</b> Pose and expression come from 2D landmarks; no correctives. "
 
 
-class LiveView:
+class LiveView(Displayed):
     """``sensor``: a name for :func:`~adaptiveface.sensors.open_sensor`, an open sensor, or None to choose one on the page.
 
     ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``character``: a
@@ -79,11 +79,6 @@ class LiveView:
     def widget(self):
         """What to display."""
         return self.controls.widget
-
-    def _ipython_display_(self) -> None:
-        from IPython.display import display
-
-        display(self.widget)
 
     # ---- what the buttons do, from code as well --------------------------------------------------------------------
     def start(self) -> None:

@@ -20,7 +20,7 @@ from ..parameters import FusionParameters, ShrinkWrapParameters
 from ..pipeline import one_blas_thread
 from ..tracking.bounded import bounded_least_squares
 from .face_view import FaceView
-from .kernel import on_main_thread, shown_errors
+from .kernel import Displayed, on_main_thread, shown_errors
 from .session import Session
 from .sliders import TypedNumbers, ValueSlider, linear_steps
 
@@ -28,7 +28,7 @@ _WIDE = widgets.Layout(width="420px")
 _STYLE = {"description_width": "130px"}
 
 
-class _Study(ABC):
+class _Study(Displayed, ABC):
     """Controls over a face view: ``widget`` is what to display; a change calls ``draw``, whose errors are shown."""
 
     view: FaceView
@@ -58,11 +58,6 @@ class _Study(ABC):
     def close(self) -> None:
         """Send nothing further; the last picture stays."""
         self.view.close()
-
-    def _ipython_display_(self) -> None:
-        from IPython.display import display
-
-        display(self.widget)
 
 
 class ScanStudy(_Study):

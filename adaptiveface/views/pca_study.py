@@ -163,27 +163,21 @@ def energy_chart(session: Session) -> tuple[EnergyChart, ChartSource]:
 
 
 def learned_displacements(replay: Replay, last: int) -> np.ndarray:
-    """(s, 3n) v2 - v1 of the newest S frames that were learned from, up to frame ``last``."""
+    """(s, 3n) displacements v2 - v1, mm, of the newest S frames that were learned up to frame ``last``."""
     frontal = np.flatnonzero(replay.actor.frontal)
     used = [r for r in replay.results[: last + 1] if r is not None and r.sample_state == SampleState.LEARNED]
     moved = [(r.v2[frontal] - r.v1[frontal]).ravel() for r in used[-replay.parameters.adaptive_pca.S :]]
     return np.array(moved).reshape(-1, 3 * len(frontal))
 
 
-def learned_samples(replay: Replay, last: int) -> np.ndarray:
-    """(s, 3n) samples learned up to frame ``last``: v2 - v1 without its part in the anchor space."""
-    anchors, samples = replay.tracker.model.anchors, learned_displacements(replay, last)
-    return samples - (samples @ anchors) @ anchors.T
-
-
 class SampleRows:
-    """:func:`learned_samples` in single precision, where every frame's sample is computed once."""
+    """Learned samples, v2 - v1 without its part in the anchor space, in single precision. Each is computed only once."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[TrackedFrame, np.ndarray, np.ndarray]] = {}
 
     def __call__(self, replay: Replay, last: int) -> np.ndarray:
-        """(s, 3n) samples learned up to frame ``last``."""
+        """(s, 3n) samples, mm: the newest S that were learned up to frame ``last``."""
         anchors, frontal = replay.tracker.model.anchors, replay.actor.frontal
         tracked = ((k, r) for k, r in enumerate(replay.results[: last + 1]) if r is not None)
         learned = [(k, r) for k, r in tracked if r.sample_state == SampleState.LEARNED]
@@ -239,7 +233,7 @@ def angle_chart(session: Session, every: int = 10):
     rows = SampleRows()
 
     def source(replay: Replay):
-        """The curve up to where the replay is."""
+        """The curve up to the newest frame of the replay."""
         values = np.full(len(replay.frames), np.nan)
         for index in range(every - 1, replay.done, every):
             result = replay.results[index]

@@ -14,13 +14,14 @@ from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
 from .charts import GridChart
 from .face_view import FaceView
+from .kernel import Displayed
 from .measures import Measures
 from .player import Player
 from .replay import Replay
 from .session import Session
 
 
-class AblationView:
+class AblationView(Displayed):
     """The same frame by several variants of the pipeline, coloured by the error; ``widget`` is what to display."""
 
     def __init__(
@@ -75,11 +76,6 @@ class AblationView:
         """Stop the player; the last picture stays."""
         self.player.close()
         self.view.close()
-
-    def _ipython_display_(self) -> None:
-        from IPython.display import display
-
-        display(self.widget)
 
 
 def repeat_error(session: Session, parameters: Parameters) -> float:

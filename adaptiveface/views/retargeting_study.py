@@ -22,7 +22,7 @@ from ..retargeting.portrait import FACING, portrait
 from ..tracking.resolve import SparseResolve
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
-from .kernel import on_main_thread, shown_errors
+from .kernel import Displayed, on_main_thread, shown_errors
 from .pictures import encode
 from .player import Player
 from .session import Session
@@ -38,7 +38,7 @@ COMPARED = "compare on one"
 _STYLE, _WIDE = {"description_width": "130px"}, widgets.Layout(width="290px")
 
 
-class RetargetingStudy:
+class RetargetingStudy(Displayed):
     """One 3D view of the actor (final mesh v4) and of characters, turned by the mouse; ``widget`` is what to display.
 
     ``results``: the tracked frames of the session. Coefficients come from the sliders, or from the frame that the
@@ -191,11 +191,6 @@ class RetargetingStudy:
     def close(self) -> None:
         """Stop playing."""
         self.player.close()
-
-    def _ipython_display_(self) -> None:
-        from IPython.display import display
-
-        display(self.widget)
 
 
 __all__ = ["COMPARED", "CORRECTIVES", "INITIAL", "RESOLVED", "SLIDERS", "RetargetingStudy"]

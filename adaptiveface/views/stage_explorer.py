@@ -19,7 +19,7 @@ from ..tracking.types import TrackedFrame
 from ..tracking.verdict import verdict_of
 from .charts import LiveChart
 from .face_view import FaceView
-from .kernel import on_main_thread
+from .kernel import Displayed, on_main_thread
 from .measures import Measures, Pane, model_features
 from .parameter_panel import ParameterPanel
 from .pictures import CameraView
@@ -39,7 +39,7 @@ LEARNING_STEP = 2
 ChartSource = Callable[[Replay], dict[str, np.ndarray]]
 
 
-class StageExplorer:
+class StageExplorer(Displayed):
     """One stage to see and to move: ``widget`` is what to display, :meth:`close` stops everything it runs.
 
     ``controls``: stages or parameters for the panel. ``panes``: title -> :data:`Pane`. ``charts``: pairs of a
@@ -110,11 +110,6 @@ class StageExplorer:
         ]
         self.widget = widgets.VBox(parts)
         self.widget.add_class("adaptiveface-workbench")
-
-    def _ipython_display_(self) -> None:
-        from IPython.display import display
-
-        display(self.widget)
 
     @property
     def parameters(self) -> Parameters:
