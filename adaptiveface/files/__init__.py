@@ -1,4 +1,4 @@
-"""Read files within limits, and write them so that either the old file or the whole new one is there."""
+"""Read files within limits, and replace files atomically: a path always holds either the old file or the whole new one."""
 
 from .archive import Archive
 from .atomic import reason, replacing, replacing_folder

@@ -1,4 +1,4 @@
-"""Zip archives that may come from anywhere: what they declare is judged before memory is taken for it."""
+"""Read zip archives from untrusted sources: declared sizes are checked before any memory is allocated."""
 
 from __future__ import annotations
 
@@ -11,27 +11,34 @@ from pathlib import Path
 from ..errors import FileFormatError
 from .bounded import open_regular, size
 
-#: Members may unpack to this many bytes without question, and beyond it to so many for every byte that they take in the
-#: archive: what is measured shrinks to a tenth, a bomb of zeros to a thousandth.
+#: Members may unpack to ``FREE_BYTES`` in any case, and beyond that to ``MOST_PER_BYTE`` for every byte that they take in the
+#: archive. Measured data shrinks to a tenth, and a zip bomb of zeros to a thousandth.
 FREE_BYTES, MOST_PER_BYTE = 64 << 20, 100
 
 
 class _Stream(io.BufferedReader):
-    """Refuses to hand out more than ``limit`` bytes at once: zipfile takes the list of members in one piece."""
+    """A stream that refuses to read more than ``limit`` bytes at once. zipfile reads the list of members in one piece."""
 
     limit = None
 
     def read(self, count: int | None = -1) -> bytes:
-        """As any stream."""
+        """Read as any stream does."""
         if self.limit is not None and count is not None and count > self.limit:
             raise FileFormatError(f"{size(count)} for the list of its members; at most {size(self.limit)} are read")
         return super().read(count)
 
 
 class Archive(zipfile.ZipFile):
-    """A :class:`zipfile.ZipFile` to read from, which raises :class:`FileFormatError` naming the file.
+    """A readable :class:`zipfile.ZipFile` that raises :class:`FileFormatError` naming the file.
 
-    ``max_bytes`` of the whole file, ``max_directory_bytes`` of the list of its members.
+    Parameters
+    ----------
+    path : path-like
+        The archive.
+    max_bytes : int
+        Largest size of the whole file.
+    max_directory_bytes : int
+        Largest size of the list of members.
     """
 
     def __init__(self, path: str | os.PathLike, max_bytes: int, max_directory_bytes: int = 1 << 20) -> None:
@@ -50,13 +57,13 @@ class Archive(zipfile.ZipFile):
         self._stream.limit = None
 
     def close(self) -> None:
-        """Close the file too, which zipfile does not do with a stream."""
+        """Close the archive and its file. zipfile leaves a stream open."""
         with suppress(AttributeError):  # it was never opened
             super().close()
             self._stream.close()
 
     def member(self, name: str) -> zipfile.ZipInfo:
-        """The entry ``name``; raises :class:`FileFormatError` where entries unpack to far more than their size explains."""
+        """The entry ``name``. Raises :class:`FileFormatError` if it is missing or unpacks to far more than its size."""
         try:
             entry = self.getinfo(name)
         except KeyError:

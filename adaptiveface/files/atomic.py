@@ -1,4 +1,4 @@
-"""Writing a file or a folder whole or not at all: every writer writes beside its output and renames at the end."""
+"""Write files and folders completely or not at all: every writer writes beside its output and renames at the end."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def replacing(path: str | os.PathLike, shared: bool = False, keep_suffix: bool =
     Parameters
     ----------
     path : path-like
-        The file to write; a link is followed, and stays a link.
+        The file to write. A link is followed and stays a link.
     shared : bool
-        Several processes may write this file at the same time, as they do with a cache: each has a temporary file of
-        its own.
+        Whether several processes may write this file at the same time, as they do with a cache. Each then uses its own
+        temporary file.
     keep_suffix : bool
-        The temporary file has the suffix of ``path`` (``film.part.mp4``), because encoders choose the format by it;
-        without, it is ``00012.png.part``, which nobody takes for one of the images of a folder.
+        Whether the temporary file has the suffix of ``path`` (``film.part.mp4``), because encoders choose the format by it.
+        Otherwise its name is like ``00012.png.part``, so that it cannot be mistaken for one of a folder's images.
 
     Raises
     ------
@@ -36,8 +36,8 @@ def replacing(path: str | os.PathLike, shared: bool = False, keep_suffix: bool =
 
     Notes
     -----
-    When the block fails in any way, Ctrl-C included, the temporary file is removed and the file at ``path`` is as it was.
-    A process that is killed leaves the temporary file under its telling name.
+    When the block fails in any way, including by Ctrl-C, the temporary file is removed and the file at ``path`` is unchanged.
+    A process that is killed leaves the temporary file behind, and its name tells what it is.
     """
     path = Path(path)
     target = Path(os.path.realpath(path))
@@ -59,13 +59,25 @@ def replacing(path: str | os.PathLike, shared: bool = False, keep_suffix: bool =
 
 @contextmanager
 def replacing_folder(path: str | os.PathLike, ours: Callable[[str], bool]) -> Iterator[Path]:
-    """As :func:`replacing` for a folder of files: yield a new folder beside ``path`` that takes its place at the end.
+    """Do as :func:`replacing` does for a folder of files: yield a new folder beside ``path`` that replaces it at the end.
 
-    ``ours(name)`` says which files such a folder holds. Nothing else is ever removed: a folder at ``path`` with other
-    files in it is refused. Parents are made. Raises :class:`AdaptiveFaceError`.
+    Parameters
+    ----------
+    path : path-like
+        The folder to write. Its parents are created.
+    ours : callable
+        ``ours(name)`` tells whether a file belongs in such a folder. A folder with any other file is refused, so no other
+        file is ever removed.
 
-    No system call replaces a folder that is not empty. The old one is therefore called ``NAME.previous`` for the moment
-    between two renames; who finds it under that name alone, after a kill in that moment, puts it back.
+    Raises
+    ------
+    AdaptiveFaceError
+        The folder cannot be written or holds other files. The message names ``path``.
+
+    Notes
+    -----
+    No system call replaces a folder that is not empty. The old folder is therefore called ``NAME.previous`` between two
+    renames. If a process is killed between them, the next call finds the folder under that name alone and restores it.
     """
     path = Path(path)
     target, began = Path(os.path.realpath(path)), False
@@ -76,7 +88,7 @@ def replacing_folder(path: str | os.PathLike, ours: Callable[[str], bool]) -> It
             os.replace(previous, target)
         for folder in (temporary, previous, target):
             check_holds_only(folder, ours)
-        began = True  # from here on everything there is ours
+        began = True  # from here on, these folders hold only our files
         for folder in (temporary, previous):
             _remove(folder)
         temporary.mkdir()
@@ -87,13 +99,13 @@ def replacing_folder(path: str | os.PathLike, ours: Callable[[str], bool]) -> It
             if began:
                 _remove(temporary)
         cause = error.__cause__ if isinstance(error, AdaptiveFaceError) else error
-        if isinstance(cause, OSError):  # of a file in the folder, or of the folder
+        if isinstance(cause, OSError):  # from a file in the folder, or from the folder itself
             raise AdaptiveFaceError(f"{path}: {reason(cause)}; {_kept(target)}") from cause
         raise
 
 
 def check_holds_only(folder: Path, ours: Callable[[str], bool]) -> None:
-    """Raise :class:`AdaptiveFaceError` where ``folder`` is there and is no folder, or holds anything that is not ours."""
+    """Raise :class:`AdaptiveFaceError` if ``folder`` exists and is not a folder, or holds anything that is not ours."""
     if not os.path.lexists(folder):
         return
     if not folder.is_dir():
@@ -104,14 +116,14 @@ def check_holds_only(folder: Path, ours: Callable[[str], bool]) -> None:
 
 
 def reason(error: OSError) -> str:
-    """Why something could not be written, for people."""
+    """A readable reason why something could not be written."""
     if error.errno in _FULL:
         return "no space left on the disk"
     return f"cannot be written ({error.strerror or error})"
 
 
 def _mode_of(target: Path) -> int | None:
-    """The permissions of the file that is there; raises OSError where it is none to be replaced."""
+    """Permissions of the existing file, or None if there is none. Raises OSError if it must not be replaced."""
     try:
         status = target.stat()
     except FileNotFoundError:

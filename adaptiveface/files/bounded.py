@@ -1,4 +1,4 @@
-"""Reading files that may come from anywhere: regular files only, and never more bytes than the reader asked for."""
+"""Read files from untrusted sources: only regular files, and never more bytes than the caller allows."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ..errors import FileFormatError
 
 
 def open_regular(path: str | os.PathLike, max_bytes: int) -> BinaryIO:
-    """A regular file of at most ``max_bytes`` bytes, opened for reading in binary; links are followed.
+    """Open a regular file of at most ``max_bytes`` bytes for reading in binary mode. Links are followed.
 
     Raises
     ------
     FileFormatError
-        There is no such file, it is a folder, a pipe or a device, it is larger than ``max_bytes``, or it cannot be read.
-        The message names the file and the limit.
+        The file does not exist, is a folder, a pipe or a device, is larger than ``max_bytes``, or cannot be read. The message
+        names the file and the limit.
     """
     path = Path(path)
     try:
@@ -42,8 +42,8 @@ def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
     try:
         with open_regular(path, max_bytes) as stream:
             length = os.fstat(stream.fileno()).st_size
-            content = stream.read(length + 1)  # not max_bytes: read() takes the memory for all it is asked for
-    except OSError as error:  # a disk that fails, a file of another machine that is gone
+            content = stream.read(length + 1)  # not max_bytes: read() allocates as much as it is asked for
+    except OSError as error:  # the disk fails, or a remote file is gone
         raise FileFormatError(f"{path}: cannot be read ({error.strerror or error})") from None
     if len(content) > length:
         raise FileFormatError(f"{path}: it grew while it was read")
@@ -51,7 +51,7 @@ def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike, max_bytes: int) -> str:
-    """The text of a regular file of at most ``max_bytes`` bytes, as :func:`decoded`.
+    """The text of a regular file of at most ``max_bytes`` bytes, decoded by :func:`decoded`.
 
     Raises :class:`FileFormatError` as :func:`read_bytes` does, and when the bytes are not UTF-8.
     """
@@ -62,20 +62,39 @@ def read_text(path: str | os.PathLike, max_bytes: int) -> str:
 
 
 def decoded(content: bytes, errors: str = "strict") -> str:
-    """UTF-8 with or without a byte-order mark, or UTF-16 with one (Windows' "Unicode text"); ``errors`` as Python's."""
+    """Decode UTF-8 with or without a byte-order mark, or UTF-16 with one (Windows' "Unicode text").
+
+    ``errors`` is that of :meth:`bytes.decode`.
+    """
     utf16 = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     return content.decode("utf-16" if utf16 else "utf-8-sig", errors)
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file is its folder's own, not one that a system puts beside it: ``._jawOpen.obj`` on macOS."""
+    """Whether a file belongs to its folder, and is not added by the system, as ``._jawOpen.obj`` is on macOS."""
     return not path.name.startswith(".")
 
 
 def parse_json(content: bytes, name: str, max_values: int = 1_000_000, **options) -> Any:
-    """What JSON holds. Its values are counted before any is made: an empty list in it takes three bytes, in memory 64.
+    """Parse JSON of a limited number of values.
 
-    ``options`` go to :func:`json.loads`. Raises :class:`FileFormatError` naming ``name``.
+    The values are counted before any is created, because an empty list takes 3 bytes in JSON and 64 bytes in memory.
+
+    Parameters
+    ----------
+    content : bytes
+        The JSON text.
+    name : str
+        Name of its source, for messages.
+    max_values : int
+        Largest number of values.
+    **options
+        Passed to :func:`json.loads`.
+
+    Raises
+    ------
+    FileFormatError
+        The content is not valid JSON or has too many values.
     """
     values = sum(map(content.count, (b",", b"[", b"{")))
     if values > max_values:
@@ -89,10 +108,10 @@ def parse_json(content: bytes, name: str, max_values: int = 1_000_000, **options
 
 
 def read_json(path: str | os.PathLike, max_bytes: int, max_values: int = 1_000_000) -> Any:
-    """What a regular file of JSON holds; raises :class:`FileFormatError` as :func:`read_bytes` and :func:`parse_json`."""
+    """Parse a regular file of JSON. Raises :class:`FileFormatError` as :func:`read_bytes` and :func:`parse_json` do."""
     return parse_json(read_bytes(path, max_bytes), os.fspath(path), max_values)
 
 
 def size(count: int) -> str:
-    """A number of bytes for people."""
+    """A readable number of bytes."""
     return f"{count} bytes" if count < 10_240 else f"{count / 1024:.0f} KiB" if count < 10 << 20 else f"{count >> 20} MiB"

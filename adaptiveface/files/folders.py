@@ -1,4 +1,4 @@
-"""The folder of an output: made when its name is known, so that a path that cannot be written fails before the work."""
+"""Create the folder of an output early, so that a path that cannot be written fails before the work begins."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ..errors import AdaptiveFaceError
 
 
 def make_parent(path: str | os.PathLike) -> None:
-    """Make the folder in which ``path`` will be written, and those above it.
+    """Create the folder in which ``path`` will be written, and its parents.
 
     Raises
     ------
     AdaptiveFaceError
-        The folder cannot be made, or nothing can be written in it. The message names ``path`` and the folder.
+        The folder cannot be created, or nothing can be written in it. The message names ``path`` and the folder.
     """
     folder = Path(os.path.realpath(path)).parent
     try:

@@ -1,4 +1,4 @@
-"""Arrays that stay on the disk: mapped from a file, read block by block, their memory given back behind the reader."""
+"""Keep arrays on the disk: map them from a file, read them block by block, and release each block's memory after use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 
-#: A mapped array is walked in blocks of about this many bytes.
+#: Approximate size of the blocks in which a mapped array is read, bytes.
 BLOCK_BYTES = 16 << 20
 _LOCAL_HEADER = struct.Struct("<4s22xHH")
 
@@ -21,11 +21,26 @@ _LOCAL_HEADER = struct.Struct("<4s22xHH")
 def map_member(
     path: str | os.PathLike, info: zipfile.ZipInfo, look: Callable[[np.ndarray], None] = lambda block: None
 ) -> np.ndarray | None:
-    """The array of an uncompressed ``.npy`` member of a zip file, read-only and mapped into memory.
+    """Map an uncompressed ``.npy`` member of a zip file into memory, read-only.
 
-    None where the member cannot be mapped (compressed, encrypted, in Fortran order, empty, or of Python objects).
-    ``look`` sees every block of it once, while its checksum is compared. Raises :class:`FileFormatError` when header,
-    size or checksum are wrong.
+    Parameters
+    ----------
+    path : path-like
+        The zip file.
+    info : zipfile.ZipInfo
+        The member.
+    look : callable
+        Called once with every block of the array, while the checksum is computed.
+
+    Returns
+    -------
+    array or None
+        None if the member cannot be mapped: it is compressed, encrypted, in Fortran order, empty, or of Python objects.
+
+    Raises
+    ------
+    FileFormatError
+        The header, the size or the checksum is wrong.
     """
     if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
         return None
@@ -58,10 +73,23 @@ def map_member(
 
 
 def blocks(array: np.ndarray, rows: int | None = None) -> Iterator[tuple[slice, np.ndarray]]:
-    """Walk over an array: where a block lies on the first axis, and a copy of it; the last one may be shorter.
+    """Iterate over an array in blocks along its first axis.
 
-    ``rows``: entries of a block, by default about :data:`BLOCK_BYTES`. What was read of a mapped array no longer counts
-    as the process's memory when the next block comes.
+    The memory of a mapped array's block is released before the next block is read.
+
+    Parameters
+    ----------
+    array : array
+        Any array, mapped or not.
+    rows : int, optional
+        Entries per block, by default about :data:`BLOCK_BYTES`. The last block may be shorter.
+
+    Yields
+    ------
+    part : slice
+        The place of the block on the first axis.
+    block : array
+        A copy of it.
     """
     each = max(int(np.prod(array.shape[1:], dtype=object)) * array.dtype.itemsize, 1)
     rows = rows or max(BLOCK_BYTES // each, 1)
@@ -72,7 +100,7 @@ def blocks(array: np.ndarray, rows: int | None = None) -> Iterator[tuple[slice, 
 
 
 def release(array: np.ndarray) -> None:
-    """Give back the memory of a mapped array's pages; they are read again when they are needed."""
+    """Release the memory of a mapped array's pages. They are read again when needed."""
     mapping = _mapping(array)
     if mapping is not None and hasattr(mapping, "madvise"):
         mapping.madvise(mmap.MADV_DONTNEED)
@@ -81,7 +109,7 @@ def release(array: np.ndarray) -> None:
 def _mapping(array: np.ndarray | None) -> mmap.mmap | None:
     while array is not None:
         if isinstance(array, np.memmap):
-            return array._mmap if array.mode != "c" else None  # what was changed in a copy would be lost
+            return array._mmap if array.mode != "c" else None  # changes in a copy would be lost
         array = getattr(array, "base", None)
         if isinstance(array, mmap.mmap):
             return array

@@ -1,6 +1,6 @@
-"""Reading ``.npz`` files that may come from anywhere: no pickles, sizes bounded before memory is allocated.
+"""Read ``.npz`` files from untrusted sources: no pickles, and sizes are checked before memory is allocated.
 
-The header of each member is read and judged first (name, dtype, shape, bytes), then the array itself.
+The header of each member (name, dtype, shape, size) is read and checked before the array itself.
 """
 
 from __future__ import annotations
@@ -19,15 +19,19 @@ from ..errors import FileFormatError, abbreviated
 from . import Archive, blocks, map_member, replacing
 
 MAX_BYTES = 8 << 30
-#: Of the whole file, whose large arrays may stay on the disk.
+#: Largest size of the whole file, whose large arrays may stay on the disk.
 MAX_FILE_BYTES = 1 << 40
-#: An array that may stay on the disk does so from this many bytes on; smaller ones are read, which leaves the file free.
+#: Size from which an array that may stay on the disk does so, bytes. Smaller ones are read, so the file is not kept open.
 MAPPED_FROM = 128 << 20
 
 
 @dataclass(frozen=True)
 class Field:
-    """What one array must look like: ``shape`` of ints or names (equal names must agree), dtype ``kind``s, optional."""
+    """Requirements for one array.
+
+    ``shape`` holds sizes as numbers or names; equal names must have equal sizes. ``kind`` lists the allowed kinds of dtype, and
+    an ``optional`` array may be missing.
+    """
 
     shape: tuple[int | str, ...]
     kind: str = "f"
@@ -63,10 +67,29 @@ def load_checked(
 ) -> dict:
     """Read the named arrays of an npz and check names, dtypes, shapes, finiteness and total size.
 
-    Members that ``fields`` does not name are ignored. Returns name -> array (missing optional ones left out). Large
-    uncompressed arrays that ``mapped`` names stay on the disk, take no memory and do not count in ``max_bytes``; they
-    are checked block by block; ``mapped_from``: what is large, bytes. Raises :class:`FileFormatError` naming the file and
-    the array.
+    Parameters
+    ----------
+    path : path-like
+        The npz file.
+    fields : mapping of str to Field
+        The arrays to read. Other members of the file are ignored.
+    max_bytes : int
+        Largest size of all arrays that are read into memory.
+    mapped : collection of str
+        Arrays that stay on the disk if they are large and uncompressed. They are checked block by block, and do not count
+        towards ``max_bytes``.
+    mapped_from : int, optional
+        Size from which an array is large, bytes; by default :data:`MAPPED_FROM`.
+
+    Returns
+    -------
+    dict
+        Arrays by name, without the optional ones that are missing.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and the array.
     """
     path = Path(path)
     out: dict[str, np.ndarray] = {}
@@ -119,7 +142,7 @@ def _check_values(path: Path, name: str, array: np.ndarray) -> None:
 
 
 def _is_text(array: np.ndarray) -> bool:
-    """Whether a unicode array holds valid characters only: numpy stores any 32 bits, Python fails on them later."""
+    """Whether a unicode array holds only valid characters. NumPy stores any 32 bits, on which Python fails later."""
     codes = np.frombuffer(array.tobytes(), np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
     return not (codes > 0x10FFFF).any() and not ((codes >= 0xD800) & (codes < 0xE000)).any()
 
@@ -131,10 +154,18 @@ def check_indices(path: str | os.PathLike, name: str, array: np.ndarray, upper: 
 
 
 def write_npz(path: str | os.PathLike, arrays: Mapping[str, Any], compressed: bool = False, shared: bool = False) -> None:
-    """Write an npz whole or not at all, as :func:`numpy.savez` and :func:`numpy.savez_compressed` do.
+    """Write an npz in the format of :func:`numpy.savez`, completely or not at all.
 
-    ``shared``: several processes may write this file at the same time (:func:`adaptiveface.files.replacing`). Mapped arrays
-    are written block by block where the file is not compressed.
+    Parameters
+    ----------
+    path : path-like
+        The file to write.
+    arrays : mapping of str to array-like
+        The arrays by name. Mapped ones are written block by block, unless the file is compressed.
+    compressed : bool
+        Whether to compress, as :func:`numpy.savez_compressed` does.
+    shared : bool
+        Whether several processes may write this file at the same time, as for :func:`adaptiveface.files.replacing`.
     """
     if compressed:
         with replacing(path, shared) as temporary, open(temporary, "wb") as stream:

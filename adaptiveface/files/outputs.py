@@ -1,4 +1,4 @@
-"""What may be written where: refused before the work begins, never after an hour of it."""
+"""Check output paths before the work begins, so that no command fails on its output after an hour of work."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def _begins(*starts: bytes, at: int = 0) -> Callable[[Path], bool]:
 
 
 def _is_mdd(path: Path) -> bool:
-    """The format has no name in it, but its length follows from its first eight bytes."""
+    """Whether a file is an MDD. The format has no signature, but its length follows from its first eight bytes."""
     with open_regular(path, 1 << 62) as stream:
         frames, points = np.frombuffer(stream.read(8), ">i4").tolist()
     return path.stat().st_size == 8 + 4 * frames + 12 * frames * points
 
 
-#: Kind of file -> how its name may end, what to call it, and whether the file at a path is one.
+#: For each kind of file, the suffixes of its name, its name in messages, and a test for whether a file is of the kind.
 KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
     "actor": ((".npz",), "an actor", _npz("neutral", "blendshapes", "feature_triangles")),
     "result": ((".npz",), "a result", _npz("vertices", "coefficients", "stage_ms")),
@@ -61,21 +61,26 @@ KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
 
 
 def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
-    """Refuse the path of an output file that cannot or must not be written, and make its folder; returns the path.
+    """Refuse an output file that cannot or must not be written, and create its folder.
 
     Parameters
     ----------
     path : Path
-        Where the file is to be.
+        The output file.
     kind : str
-        One of :data:`KINDS`. A file of another kind that lies there already is not replaced.
+        One of :data:`KINDS`. An existing file of another kind is not replaced.
     inputs : iterable of path-like or None
-        What the same command reads. The output may be none of these, by whatever name or link.
+        Inputs of the same command. The output must not be one of these under any name or link.
+
+    Returns
+    -------
+    Path
+        The same path.
 
     Raises
     ------
     AdaptiveFaceError
-        Naming the path and the reason.
+        The message names the path and the reason.
     """
     suffixes, name, is_one = KINDS[kind]
     if path.suffix.lower() not in suffixes:
@@ -90,7 +95,7 @@ def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
 
 
 def check_output_folder(path: Path, ours: Callable[[str], bool], inputs: Iterable[object] = ()) -> Path:
-    """Refuse the path of an output folder: a file, an input, or a folder with files other than ``ours(name)``."""
+    """Refuse an output folder that is a file, is an input, or holds files for which ``ours(name)`` is false."""
     check_no_input(path, inputs)
     check_holds_only(path, ours)
     _check_can_make(path)
@@ -98,7 +103,7 @@ def check_output_folder(path: Path, ours: Callable[[str], bool], inputs: Iterabl
 
 
 def check_new_folder(path: Path, inputs: Iterable[object] = ()) -> Path:
-    """Refuse the path of an output folder that holds any file already."""
+    """Refuse an output folder that already holds any file."""
     check_no_input(path, inputs)
     if os.path.exists(path) and not os.path.isdir(path):
         raise AdaptiveFaceError(f"{path}: is a file, the name of a new folder is expected")
@@ -110,7 +115,7 @@ def check_new_folder(path: Path, inputs: Iterable[object] = ()) -> Path:
 
 
 def check_folder(path: Path) -> Path:
-    """Refuse the path of a folder that is a file, or lies where none can be made; any files in it stay."""
+    """Refuse a folder that is a file or cannot be created. Files in an existing folder are kept."""
     if os.path.exists(path) and not os.path.isdir(path):
         raise AdaptiveFaceError(f"{path}: is a file, the name of a folder is expected")
     _check_can_make(path)
@@ -118,7 +123,7 @@ def check_folder(path: Path) -> Path:
 
 
 def check_no_input(path: Path, inputs: Iterable[object]) -> None:
-    """Raise :class:`AdaptiveFaceError` where ``path`` is one of the ``inputs``: the same file, by whatever name."""
+    """Raise :class:`AdaptiveFaceError` if ``path`` is the same file as one of the ``inputs``, under any name."""
     for given in inputs:
         texts = () if given is None else (os.fspath(given), os.fspath(given).partition(":")[2])  # "azure:FILE"
         if any(text and _same(path, text) for text in texts):
@@ -126,7 +131,7 @@ def check_no_input(path: Path, inputs: Iterable[object]) -> None:
 
 
 def check_distinct(*paths: Path | None) -> None:
-    """Raise :class:`AdaptiveFaceError` where two outputs are the same file."""
+    """Raise :class:`AdaptiveFaceError` if two outputs are the same file."""
     seen: list[Path] = []
     for path in filter(None, paths):
         if any(os.path.normcase(os.path.realpath(path)) == os.path.normcase(os.path.realpath(s)) for s in seen):
@@ -137,12 +142,12 @@ def check_distinct(*paths: Path | None) -> None:
 def _same(path: Path, other: str) -> bool:
     try:
         return os.path.samefile(path, other)
-    except (OSError, ValueError):  # one of them is not there
+    except (OSError, ValueError):  # one of them does not exist
         return False
 
 
 def _check_replaceable(path: Path, name: str, is_one: Callable[[Path], bool]) -> None:
-    """Raise unless the file that is there may be replaced by one that is ``name``."""
+    """Raise unless the existing file may be replaced by one that is ``name``."""
     try:
         with open_regular(path, 1 << 62) as stream:
             empty = not stream.read(1)
@@ -156,7 +161,7 @@ def _check_replaceable(path: Path, name: str, is_one: Callable[[Path], bool]) ->
 
 
 def _check_can_make(path: Path) -> None:
-    """Raise unless the folder is there, or can be made, and can be written."""
+    """Raise unless the folder exists or can be created, and can be written."""
     there = Path(os.path.realpath(path))
     while not os.path.lexists(there) and there != there.parent:
         there = there.parent

@@ -1,7 +1,7 @@
-"""Records: dataclasses whose array fields are declared once, with shape, type, unit and meaning.
+"""Define records: dataclasses whose array fields are declared once, with shape, type, unit and meaning.
 
-The declaration is what is checked when a file is read, what is written, the class's ``Attributes`` section, and the table
-in the docs::
+The declaration determines the checks of a file that is read, the arrays that are written, the class's ``Attributes`` section,
+and the table in the docs::
 
     @record
     @dataclass(frozen=True)
@@ -29,7 +29,7 @@ from ..errors import FileFormatError
 from .npz import MAX_BYTES, Field, check_indices, load_checked
 
 _KEY = "array"
-#: How the docs call a type, and the kinds of arrays that are accepted for it: whole numbers of any size and sign.
+#: Name of each type in the docs, and the kinds of arrays accepted for it. Integers may have any size and sign.
 _TYPES = {
     "f4": ("", "f"),
     "f8": ("float64", "f"),
@@ -48,17 +48,17 @@ class Array:
     Parameters
     ----------
     name : str
-        Of the array in the file.
+        Name of the array in the file.
     shape : tuple
-        Whole numbers, and letters for sizes; equal letters must agree within a file.
+        Sizes as numbers or letters. Equal letters mean equal sizes within a file.
     dtype : str
-        Of the array as it is written: "f4", "f8", "i4", "i1", "b" or "U". Other sizes of the same kind are read too.
-    doc, unit, frame : str
-        What it is.
+        Type of the written array: "f4", "f8", "i4", "i1", "b" or "U". Other sizes of the same kind can also be read.
+    doc, unit : str
+        Meaning and unit of the values.
     optional : bool
-        Whether a file may be without it.
+        Whether a file may lack the array.
     below : str or int
-        For indices: the size (a letter) or number that they stay below.
+        For indices, their upper bound (exclusive): a letter of a size, or a number.
     """
 
     name: str
@@ -71,12 +71,12 @@ class Array:
 
     @property
     def field(self) -> Field:
-        """What :func:`adaptiveface.files.npz.load_checked` checks."""
+        """The requirements that :func:`adaptiveface.files.npz.load_checked` checks."""
         return Field(self.shape, _TYPES[self.dtype][1], self.optional)
 
     @property
     def kind(self) -> str:
-        """Shape and type, for people: "(N, 3) int32"; single precision is not said."""
+        """Readable shape and type, such as "(N, 3) int32". Single precision is not mentioned."""
         sizes = ", ".join(map(str, self.shape)) + ("," if len(self.shape) == 1 else "")
         return f"({sizes}) {_TYPES[self.dtype][0]}".rstrip()
 
@@ -88,9 +88,10 @@ class Array:
 
 @dataclass(frozen=True)
 class Part:
-    """A record within a record: its arrays are stored with ``prefix`` before their names, all of them or none.
+    """A record within a record. Either all its arrays are stored, with ``prefix`` before their names, or none.
 
-    ``renewed``: arrays that its form of today brought. A file with none of them holds an older form, which is left out.
+    ``renewed`` names the arrays that the current form introduced. A file with none of them holds an older form, which is
+    ignored.
     """
 
     kind: type
@@ -110,9 +111,16 @@ def array(
     default: Any = MISSING,
     default_factory: Any = MISSING,
 ) -> Any:
-    """A dataclass field that files store as an array, as :class:`Array` says.
+    """Declare a dataclass field that files store as an array. Parameters without an entry here are those of :class:`Array`.
 
-    ``shape``: sizes with spaces between them, "F N 3"; "" for a single value. ``name``: in files, where it is another.
+    Parameters
+    ----------
+    shape : str
+        Sizes separated by spaces, such as "F N 3"; "" for a single value.
+    name : str
+        Name in files, if it differs from the field's.
+    default, default_factory
+        As for :func:`dataclasses.field`.
     """
     sizes = tuple(int(size) if size.isdecimal() else size for size in shape.split())
     stored = Array(name, sizes, dtype, doc, unit, optional, below)
@@ -120,26 +128,26 @@ def array(
 
 
 def part(kind: type, prefix: str, renewed: tuple[str, ...] = ()) -> Any:
-    """A dataclass field that holds another record or None, stored as :class:`Part` says."""
+    """Declare a dataclass field that holds another record or None, stored as :class:`Part` describes."""
     return dataclasses.field(default=None, metadata={_KEY: Part(kind, prefix, renewed)})
 
 
 def declared(cls: type) -> Iterator[tuple[str, Array]]:
-    """Attribute and declaration of every array of a record, in the order of its fields; without those of parts."""
+    """Yield attribute and declaration of every array of a record, in the order of its fields, without those of its parts."""
     for entry in dataclasses.fields(cls):
         if isinstance(stored := entry.metadata.get(_KEY), Array):
             yield entry.name, dataclasses.replace(stored, name=stored.name or entry.name)
 
 
 def parts(cls: type) -> Iterator[tuple[str, Part]]:
-    """Attribute and declaration of every record within a record."""
+    """Yield attribute and declaration of every record within a record."""
     for entry in dataclasses.fields(cls):
         if isinstance(stored := entry.metadata.get(_KEY), Part):
             yield entry.name, stored
 
 
 def stored(cls: type) -> list[Array]:
-    """Every array that a file of the record may hold, those of its parts under their full names."""
+    """Every array that a file of the record may hold, including those of its parts under their full names."""
     own = [entry for _, entry in declared(cls)]
     for _, inner in parts(cls):
         own += [dataclasses.replace(e, name=inner.prefix + e.name, optional=True) for _, e in declared(inner.kind)]
@@ -147,14 +155,14 @@ def stored(cls: type) -> list[Array]:
 
 
 def checks(cls: type) -> dict[str, Field]:
-    """Name in the file -> what :func:`adaptiveface.files.npz.load_checked` checks."""
+    """The requirements for :func:`adaptiveface.files.npz.load_checked`, by name in the file."""
     return {entry.name: entry.field for entry in stored(cls)}
 
 
 def read(
     cls: type, path: str | os.PathLike, max_bytes: int = MAX_BYTES, mapped: Collection[str] = (), double: bool = False
 ) -> dict[str, Any]:
-    """The arrays of a file by attribute, ready for ``cls(**data)``; those of a part as a dictionary, or None.
+    """Read the arrays of a file by attribute, ready for ``cls(**data)``.
 
     Parameters
     ----------
@@ -163,26 +171,26 @@ def read(
     path : path-like
         An npz file.
     max_bytes, mapped
-        As of :func:`adaptiveface.files.npz.load_checked`.
+        As for :func:`adaptiveface.files.npz.load_checked`.
     double : bool
-        Floating-point arrays as float64, for computing.
+        Whether to convert floating-point arrays to float64 for computing.
 
     Returns
     -------
     dict
-        Arrays of text as tuples and single values as ``str``, ``bool`` or ``int`` where the field is annotated so; indices
-        as int32. Optional arrays that the file is without are left out.
+        Indices are int32. Arrays of text are tuples and single values are ``str``, ``bool`` or ``int`` if the field is
+        annotated so. The arrays of a part are a dictionary, or None. Optional arrays that the file lacks are left out.
 
     Raises
     ------
     FileFormatError
-        Names the file and the array.
+        The message names the file and the array.
     """
     return by_attribute(cls, path, load_checked(path, checks(cls), max_bytes, mapped), double)
 
 
 def by_attribute(cls: type, path: str | os.PathLike, data: dict[str, np.ndarray], double: bool = False) -> dict[str, Any]:
-    """As :func:`read`, of checked arrays by their names in the file."""
+    """Do as :func:`read` does with arrays that are already checked, given by their names in the file."""
     sizes = _sizes(cls, data)
     out = _converted(cls, path, data, sizes, double)
     for attribute, inner in parts(cls):
@@ -216,7 +224,7 @@ def _converted(
         values = data[entry.name]
         if entry.below:
             limit = entry.below if isinstance(entry.below, int) else sizes.get(entry.below)
-            if limit is not None:  # of a mesh that another file holds nothing is known
+            if limit is not None:  # otherwise another file holds the mesh, and its size is unknown
                 check_indices(path, prefix + entry.name, values, limit)
             values = values.astype(np.int32)
         elif double and values.dtype.kind == "f":
@@ -226,7 +234,7 @@ def _converted(
 
 
 def plain(values: np.ndarray, annotation: str) -> Any:
-    """An array as a field of that annotation has it: a tuple of text, ``str``, ``bool`` or ``int``, or as it is."""
+    """Convert an array to the type of a field's annotation: a tuple of text, ``str``, ``bool``, ``int``, or unchanged."""
     if annotation.startswith("tuple"):
         return tuple(str(text) for text in values)
     kind = {"str": str, "bool": bool, "int": int}.get(annotation)
@@ -234,7 +242,7 @@ def plain(values: np.ndarray, annotation: str) -> Any:
 
 
 def arrays(instance: Any) -> dict[str, np.ndarray]:
-    """What :func:`read` reads, by the names in the file: floating-point numbers as declared, None left out."""
+    """The arrays of a record by name in the file, for :func:`read`. Floats have the declared type, and None is left out."""
     out = {}
     for attribute, entry in declared(type(instance)):
         if (value := getattr(instance, attribute)) is not None:
@@ -247,9 +255,23 @@ def arrays(instance: Any) -> dict[str, np.ndarray]:
 
 
 def row_dtype(cls: type, names: Collection[str], sizes: dict[str, int], text: int) -> np.dtype:
-    """The aligned dtype of one row of a record's arrays ``names``, whose first size counts the rows.
+    """The aligned dtype of one row of several arrays of a record.
 
-    ``sizes``: letter -> number, of the other sizes; ``text``: characters kept of a text.
+    Parameters
+    ----------
+    cls : type
+        The record.
+    names : collection of str
+        The arrays. Their first size is the number of rows.
+    sizes : dict
+        The other sizes by letter.
+    text : int
+        Number of characters to keep of a text.
+
+    Returns
+    -------
+    numpy.dtype
+        A structured dtype with one field per array.
     """
     entries = {entry.name: entry for entry in stored(cls)}
     kinds: dict[str, Any] = {"b": np.bool_, "U": f"<U{text}"}
@@ -259,7 +281,7 @@ def row_dtype(cls: type, names: Collection[str], sizes: dict[str, int], text: in
 
 
 def record(cls: AnyClass) -> AnyClass:
-    """Class decorator over ``@dataclass``: adds the declarations to the docstring as a section ``Attributes``."""
+    """Class decorator above ``@dataclass`` that adds the declarations to the docstring as a section ``Attributes``."""
     lines = [f"    {attribute} : {entry.kind}\n        {_sentence(entry)}" for attribute, entry in declared(cls)]
     cls.__doc__ = f"{(cls.__doc__ or '').rstrip()}\n\n    Attributes\n    ----------\n" + "\n".join(lines) + "\n    "
     return cls
@@ -271,7 +293,7 @@ def _sentence(entry: Array) -> str:
 
 
 def table(cls: type) -> str:
-    """The Markdown table of a record's arrays for the docs: name, shape and type, meaning."""
+    """A Markdown table of a record's arrays for the docs: name, shape with type, meaning."""
     attributes = {entry.name: attribute for attribute, entry in declared(cls)}
     lines = ["| name | shape | meaning |", "|---|---|---|"]
     for entry in stored(cls):

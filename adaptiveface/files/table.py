@@ -1,4 +1,4 @@
-"""A table that grows on the disk row by row, whole rows only, so that nothing waits in memory."""
+"""Write a table to the disk row by row. Only whole rows are written, and none is kept in memory."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from contextlib import suppress
 
 
 class GrowingTable:
-    """A CSV file that is complete after every :meth:`append`; nothing of it is kept in memory.
+    """A CSV file that is complete after every :meth:`append`. No row is kept in memory.
 
-    The file is made with ``header`` by the first append, also one of no rows. Rows are handed to the system in one call
-    each time, and a part of them that went onto a full disk is taken back: a kill at any moment leaves whole rows.
+    The first append creates the file with ``header``, even if it appends no rows. Each append passes its rows to the system
+    in one call. If only part of them fits on a full disk, that part is removed again. A kill at any moment therefore leaves
+    whole rows.
     """
 
     def __init__(self, path: str | os.PathLike, header: tuple[str, ...]) -> None:
@@ -20,7 +21,7 @@ class GrowingTable:
         self._bytes = 0
 
     def append(self, rows: Iterable[tuple]) -> None:
-        """Write rows of cells that need no quotes; raises OSError, after which the file holds what it held before."""
+        """Append rows whose cells need no quotes. After an OSError, the file has its previous content."""
         lines = [] if self._descriptor is not None else [self._header]
         lines += rows
         if self._descriptor is None:
@@ -38,7 +39,7 @@ class GrowingTable:
         self._bytes += len(content)
 
     def close(self) -> None:
-        """Give the file back; a second time does nothing."""
+        """Close the file. Calling it again does nothing."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             os.close(descriptor)

@@ -1,7 +1,7 @@
-"""Speak Live Link Face's conventions: ARKit's 52 face shapes, head and eye rotations, as iPhones send and store them.
+"""Read and write Live Link Face's formats: ARKit's 52 face shapes with head and eye rotations, as iPhones send and store them.
 
-``convention`` is the one place that holds signs, axes and units. ``take`` reads and writes Live Link Face's CSV,
-``packet`` its datagrams, ``receiver`` listens to them.
+Only ``convention`` holds signs, axes and units. ``take`` reads and writes the CSV files of Live Link Face, ``packet`` encodes
+and decodes its datagrams, and ``receiver`` listens for them.
 """
 
 from .convention import ARKIT_NAMES, ROTATIONS

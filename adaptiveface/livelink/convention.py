@@ -1,19 +1,20 @@
-"""Signs, axes and units of Live Link Face: the only place that holds them.
+"""Define the signs, axes and units of Live Link Face. No other module holds them.
 
-A face has its axes as ARKit's face anchor has: x to the subject's own left, y up, z out of the face, right-handed
-(Apple's pages on ``ARFaceAnchor``: somebody who looks to the left has a ``lookAtPoint`` with positive x). Our head frame
-has the same axes. Unreal's frame is (-z, x, y) of ARKit's and left-handed, and Epic's app writes the yaw, pitch and roll
-of a rotation there (``FRotator``: roll is applied first, then pitch, then yaw). The change of hands reverses every turn,
-and the change of axes reverses the first one again, so that in terms of the face
+The axes of a face are those of ARKit's face anchor: x to the subject's own left, y up, z out of the face, right-handed.
+(Apple's pages on ``ARFaceAnchor``: a person who looks to the left has a ``lookAtPoint`` with positive x.) Our head frame
+has the same axes. Unreal's frame is (-z, x, y) of ARKit's and is left-handed. Epic's app writes the yaw, pitch and roll of a
+rotation in Unreal's frame (``FRotator`` applies roll first, then pitch, then yaw). The change of handedness reverses every
+turn, and the change of axes reverses the first one again. In terms of the face,
 
 * yaw is positive to the subject's right: minus the turn about y;
 * pitch is positive downwards: the turn about x;
 * roll is positive towards the subject's left shoulder: minus the turn about z;
 
-in radians, with the rotation R = R_y(-yaw) R_x(pitch) R_z(-roll). Eyes follow the same rule. A take of a real iPhone
-confirms it for them: their yaw is -0.607 (lookOut - lookIn) for the left eye and +0.603 for the right one, their pitch
-rises with lookDown, and their roll is 0.97 to 1.0 yaw pitch. This is what an eye gives that turns about y first and
-about x afterwards, and has the sign above. The head's angles are zero in that take. They follow from the axes.
+in radians, with the rotation R = R_y(-yaw) R_x(pitch) R_z(-roll). Eyes follow the same rule, and a take of a real iPhone
+confirms it for them. Their yaw is -0.607 (lookOut - lookIn) for the left eye and +0.603 (lookOut - lookIn) for the right one.
+Their pitch rises with lookDown. Their roll is 0.97 to 1.0 times yaw times pitch, which is the roll, with the sign above, of an
+eye that turns about y first and about x afterwards. The head's angles are zero in that take, so their signs follow from the
+axes alone.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from ..geometry.expression_names import ARKIT_NAMES
 
-#: The nine angles that follow the shapes, radians.
+#: The nine angles that follow the shapes in a row, radians.
 ROTATIONS = (
     "HeadYaw",
     "HeadPitch",
@@ -35,27 +36,27 @@ ROTATIONS = (
     "RightEyePitch",
     "RightEyeRoll",
 )
-#: Radians that an eye turns at a full lookIn or lookOut, at a full lookUp or lookDown; roll per yaw and pitch (1/rad).
+#: Turn of an eye at a full lookIn or lookOut and at a full lookUp or lookDown, rad; roll per yaw and pitch, 1/rad.
 EYE_YAW, EYE_PITCH, EYE_ROLL = 0.605, 0.556, 0.97
 _SIGNS = np.array([-1.0, 1.0, -1.0])
 
 
 def angles(rotations: np.ndarray) -> np.ndarray:
-    """(..., 3) yaw, pitch, roll in radians of rotations (..., 3, 3) that act on the face's axes (x left, y up, z out)."""
+    """(..., 3) yaw, pitch and roll, rad, of rotations (..., 3, 3) of the face's axes (x left, y up, z out)."""
     rotations = np.asarray(rotations, float)
     flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler("YXZ")
     return (_SIGNS * flat).reshape(*rotations.shape[:-2], 3)
 
 
 def rotations(yaw_pitch_roll: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotations of angles (..., 3) in radians: the inverse of :func:`angles`."""
+    """(..., 3, 3) rotations for angles (..., 3), rad. This is the inverse of :func:`angles`."""
     turns = np.asarray(yaw_pitch_roll, float)
     flat = Rotation.from_euler("YXZ", (_SIGNS * turns).reshape(-1, 3)).as_matrix()
     return flat.reshape(*turns.shape[:-1], 3, 3)
 
 
 def eye_angles(curves: np.ndarray) -> np.ndarray:
-    """(F, 6) yaw, pitch, roll of the left and of the right eye, radians, from the eyeLook curves of (F, 52)."""
+    """(F, 6) yaw, pitch and roll of the left eye and then of the right eye, rad, from the eyeLook curves among (F, 52)."""
     level = dict(zip(ARKIT_NAMES, np.asarray(curves, float).T, strict=True))
     out = []
     for side, away in (("Left", -1.0), ("Right", 1.0)):
@@ -66,13 +67,13 @@ def eye_angles(curves: np.ndarray) -> np.ndarray:
 
 
 def eyes_of_gaze(gaze: np.ndarray) -> np.ndarray:
-    """(..., 6) yaw, pitch, roll of both eyes, radians, of gaze (..., 2, 2): yaw to the subject's left, pitch upwards."""
+    """(..., 6) yaw, pitch and roll of both eyes, rad, for gaze (..., 2, 2): yaw to the subject's left and pitch upwards."""
     yaw, pitch = -np.moveaxis(np.asarray(gaze, float), -1, 0)
     return np.stack([yaw, pitch, EYE_ROLL * yaw * pitch], axis=-1).reshape(*yaw.shape[:-1], 6)
 
 
 def with_look(curves: np.ndarray, eyes: np.ndarray) -> np.ndarray:
-    """Curves (..., 52) whose eyeLook shapes are those of eyes (..., 6), the inverse of :func:`eye_angles`; in [0, 1]."""
+    """Copy curves (..., 52) and set their eyeLook shapes, in [0, 1], for the angles ``eyes`` (..., 6) of :func:`eye_angles`."""
     out = np.array(curves, float)
     for side, away, first in (("Left", -1.0, 0), ("Right", 1.0, 3)):
         outwards = away * eyes[..., first] / EYE_YAW

@@ -1,9 +1,13 @@
-"""Live Link Face's datagrams: what the app sends to Unreal, port 11111 over UDP, one datagram a frame.
+"""Encode and decode the datagrams that Live Link Face sends to Unreal: one per frame, over UDP, to port 11111.
 
-Version 6, big-endian: version (1 byte); device and subject, each a length (4 bytes) and UTF-8 text; the frame number
-(int32), the part of a frame (float32), and the rate as numerator and denominator (int32 each); the number of values (1
-byte), which is 61, and as many float32. A frame without a face ends before the number of values. The values are those of
-the CSV, but left comes before right for the jaw and the mouth (the order of Unreal's ``EARFaceBlendShape``).
+A datagram of version 6 is big-endian. It holds, in this order,
+
+* the version (1 byte);
+* the names of device and subject, each as a length (4 bytes) and UTF-8 text;
+* the frame number (int32), the part of a frame (float32), and the rate as numerator and denominator (int32 each);
+* the number of values (1 byte), which is 61, and the values (float32). A frame without a face ends before the number.
+
+The values are those of the CSV, but left comes before right for the jaw and the mouth, as in Unreal's ``EARFaceBlendShape``.
 """
 
 from __future__ import annotations
@@ -17,17 +21,21 @@ from .convention import ARKIT_NAMES, ROTATIONS
 
 VERSION, PORT = 6, 11111
 _COUNT = len(ARKIT_NAMES) + len(ROTATIONS)
-#: Longest datagram and longest name that are read, bytes.
+#: Lengths of the longest datagram and the longest name that are read, bytes.
 MAX_BYTES, MAX_NAME = 2048, 512
 _TIME = struct.Struct(">ifii")
 _SWAPPED = {"jawRight": "jawLeft", "jawLeft": "jawRight", "mouthRight": "mouthLeft", "mouthLeft": "mouthRight"}
-#: (61,) position in the CSV's order of every value of a datagram; its own inverse.
+#: (61,) position of every value of a datagram in the CSV's order. The permutation is its own inverse.
 _ORDER = np.array([ARKIT_NAMES.index(_SWAPPED.get(name, name)) for name in ARKIT_NAMES] + list(range(len(ARKIT_NAMES), _COUNT)))
 
 
 @dataclass(frozen=True)
 class LiveLinkFrame:
-    """One frame: ``time`` s since midnight; tracked: there was a face; curves (52,), head (3,), eyes (6,) as in a take."""
+    """One frame of a stream.
+
+    ``time`` is in seconds since midnight, and ``tracked`` tells whether there was a face. ``curves`` (52,), ``head`` (3,) and
+    ``eyes`` (6,) are as in a :class:`~adaptiveface.livelink.LiveLinkTake`.
+    """
 
     time: float
     tracked: bool
@@ -39,7 +47,7 @@ class LiveLinkFrame:
 
 
 def encode(frame: LiveLinkFrame, fps: int = 60) -> bytes:
-    """The datagram of a frame; its time is written in whole and partial frames of 1 / ``fps`` s."""
+    """Encode a frame as a datagram. The time is written in whole and partial frames of 1 / ``fps`` s."""
     number = int(frame.time * fps)
     out = struct.pack(">B", VERSION)
     for text in (frame.device, frame.subject):
@@ -53,7 +61,7 @@ def encode(frame: LiveLinkFrame, fps: int = 60) -> bytes:
 
 
 def decode(data: bytes) -> LiveLinkFrame:
-    """The frame of a datagram; raises :class:`ValueError` with the reason where it is none."""
+    """Decode a datagram. Raises :class:`ValueError` with the reason if it is not one of Live Link Face."""
     if len(data) > MAX_BYTES:
         raise ValueError(f"{len(data)} bytes are too many")
     try:

@@ -1,5 +1,4 @@
-"""Listens to Live Link Face: the newest frames of one phone, from a socket that is on this machine's own address unless
-another one is asked for."""
+"""Receive the frames of one phone from Live Link Face. The socket is on the loopback address unless another one is given."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ def is_livelink(text: str) -> bool:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of ``livelink[:[HOST:]PORT]``; raises :class:`ParameterError`."""
+    """Host and port of ``livelink[:[HOST:]PORT]``. Raises :class:`ParameterError` for an invalid port."""
     host, _, port = text.removeprefix(NAME).removeprefix(":").rpartition(":")
     if port and not port.isdecimal() and not host:
         host, port = port, ""
@@ -32,10 +31,20 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 class LiveLinkReceiver:
-    """A context manager; :meth:`frames` yields what comes.
+    """Receives frames over UDP. This is a context manager, and :meth:`frames` yields the frames.
 
-    subject: the phone that is followed, the first that sent a face; bad: datagrams that were none of Live Link Face, and
-    the last reason; others: names of further phones; late: frames that came after a newer one.
+    Attributes
+    ----------
+    subject : str
+        Name of the phone that is followed. This is the first one that sent a face.
+    bad : int
+        Number of datagrams that are not from Live Link Face.
+    reason : str
+        What was wrong with the last of them.
+    others : set of str
+        Names of other phones.
+    late : int
+        Number of frames that arrived after a newer one.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT) -> None:
@@ -44,7 +53,7 @@ class LiveLinkReceiver:
         self.bad, self.reason, self.late = 0, "", 0
         self.others: set[str] = set()
         self._device: str | None = None
-        self._last: float | None = None  # time of the last frame: as given on, as it said, and when it came
+        self._last: float | None = None  # time of the last frame: as passed on, as sent, and on arrival
         self._said, self._arrived = 0.0, 0.0
 
     def __enter__(self) -> LiveLinkReceiver:
@@ -62,7 +71,7 @@ class LiveLinkReceiver:
         self._socket.close()
 
     def frames(self, timeout: float) -> Iterator[LiveLinkFrame]:
-        """Frames that have come, in order, waiting ``timeout`` s for the first; none where nothing came."""
+        """Yield the frames that have arrived, in order. Waits up to ``timeout`` s for the first; may yield none."""
         self._socket.settimeout(timeout)
         with contextlib.suppress(TimeoutError, BlockingIOError, ConnectionResetError):
             while True:
@@ -87,7 +96,7 @@ class LiveLinkReceiver:
         return self._timed(frame)
 
     def _timed(self, frame: LiveLinkFrame) -> LiveLinkFrame | None:
-        """The frame with a time that rises: its own, or, from a sender whose clock stands still, that of its arrival."""
+        """Return the frame with a rising time, or None if it is late. If the sender's clock stands still, arrival counts."""
         now = time.monotonic()
         if self._last is None:
             self._last, self._said, self._arrived = frame.time, frame.time, now

@@ -1,4 +1,4 @@
-"""Live Link Face's CSV: Timecode, BlendShapeCount, 52 shapes, rotations of the head and of both eyes."""
+"""Read and write Live Link Face's CSV: Timecode, BlendShapeCount, 52 shapes, rotations of the head and of both eyes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .convention import ARKIT_NAMES, ROTATIONS, rotations
 from .timecode import parse, timecode, to_seconds
 
 HEADER = ("Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES), *ROTATIONS)
-#: Half an hour at 60 frames a second.
+#: Enough for half an hour at 60 frames per second.
 MAX_BYTES, MAX_ROWS, MAX_LINE = 96 << 20, 150_000, 10_000
 _VALUES = HEADER[2:]
 
@@ -23,10 +23,20 @@ _VALUES = HEADER[2:]
 class LiveLinkTake:
     """A take of F frames, as it was recorded.
 
-    timestamps (F,) s since midnight; curves (F, 52) of ``ARKIT_NAMES``, about 0 to 1 (iPhones write 1.003, too); head
-    (F, 3) and eyes (F, 6): yaw, pitch and roll in radians, of the head, of the left and of the right eye, with the
-    signs of :mod:`~adaptiveface.livelink.convention`; tracked (F,) bool: rows with values, the others repeat the last
-    one; absent: columns that the file did not have, zero here.
+    Attributes
+    ----------
+    timestamps : (F,) array
+        Seconds since midnight.
+    curves : (F, 52) array
+        Of ``ARKIT_NAMES``, about 0 to 1. iPhones also write values such as 1.003.
+    head : (F, 3) array
+        Yaw, pitch and roll of the head, rad, with the signs of :mod:`~adaptiveface.livelink.convention`.
+    eyes : (F, 6) array
+        The same of the left eye and then of the right eye.
+    tracked : (F,) bool array
+        Whether the row has values. Other rows repeat the last values.
+    absent : tuple of str
+        Columns that the file does not have. Their values are zero here.
     """
 
     timestamps: np.ndarray
@@ -45,7 +55,7 @@ class LiveLinkTake:
 
 
 def write_take(path: str | os.PathLike, take: LiveLinkTake) -> None:
-    """Write one row per frame, whole or not at all; a frame that is not tracked has the count 0 and no values."""
+    """Write a take with one row per frame, completely or not at all. Untracked frames get the count 0 and no values."""
     rows = np.hstack([take.curves, take.head, take.eyes])
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as stream:
         stream.write(header_line())
@@ -59,21 +69,26 @@ def header_line() -> str:
 
 
 def row_line(time: float, row: np.ndarray, tracked: bool = True) -> str:
-    """The line of a frame at ``time`` s since midnight with its values (61,) in the order of the header."""
+    """The line of a frame at ``time`` s since midnight, with values ``row`` (61,) in the order of the header."""
     values = f"{len(row)}," + ",".join(f"{value:.9g}" for value in row) if tracked else "0" + "," * len(row)
     return f"{timecode(time)},{values}\n"
 
 
 def is_take(path: str | os.PathLike) -> bool:
-    """Whether the name is that of a CSV file; nothing is read."""
+    """Whether a path has the name of a CSV file. The file is not read."""
     return os.fspath(path).lower().endswith(".csv")
 
 
 def read_take(path: str | os.PathLike) -> LiveLinkTake:
     """Read a CSV of Live Link Face, or of an application that writes the same columns in any order.
 
-    Columns go by their names, in any case; commas, semicolons (with decimal commas) and tabs separate them. Raises
-    :class:`FileFormatError` naming the file, the line and the reason.
+    Columns are found by name, in upper or lower case. Their separators may be commas, tabs or semicolons (with decimal
+    commas).
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file, the line and the reason.
     """
     text = read_text(path, MAX_BYTES)
     if text.count("\n") + text.count("\r") > 2 * MAX_ROWS:
@@ -109,7 +124,7 @@ def read_take(path: str | os.PathLike) -> LiveLinkTake:
 
 
 def _columns(path, words: list[str]) -> dict[str, int]:
-    """Our name of a column -> its number in the file; "*": how many there are."""
+    """Map our name of each column to its number in the file, and "*" to the number of columns."""
     known = {name.lower(): name for name in HEADER}
     found = {known[key]: k for k, key in enumerate(word.strip().lower() for word in words) if key in known}
     if "Timecode" not in found or not any(name in found for name in HEADER[2 : 2 + len(ARKIT_NAMES)]):
@@ -118,7 +133,7 @@ def _columns(path, words: list[str]) -> dict[str, int]:
 
 
 def _row(words: list[str], columns: dict[str, int], decimal_comma: bool) -> np.ndarray | None:
-    """(61,) values in the order of the header; None for a row of a lost face, which is empty or counts 0."""
+    """(61,) values in the order of the header; None for a frame without a face, whose row is empty or has the count 0."""
     count = words[columns["BlendShapeCount"]].strip() if "BlendShapeCount" in columns else ""
     given = [word for name, k in columns.items() if name in _VALUES for word in words[k : k + 1] if word.strip()]
     if not given and (count == "0" or len(words) >= columns["*"]):

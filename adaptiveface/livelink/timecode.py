@@ -1,4 +1,4 @@
-"""Timecodes: hours, minutes, seconds and frames, with thousandths of a frame."""
+"""Convert timecodes of hours, minutes, seconds and frames, with thousandths of a frame, to seconds and back."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-#: What Live Link Face counts in a second unless it was set otherwise.
+#: Frames that Live Link Face counts per second by default.
 TIMECODE_FPS = 60
 _RATES = (24, 25, 30, 48, 50, 60, 120, 240)
 _FORM = re.compile(r"(\d{1,4}):(\d{1,2}):(\d{1,2})(?:[:;](\d{1,3}(?:\.\d*)?)|(\.\d+))?")
@@ -14,7 +14,7 @@ _DAY = 86_400.0
 
 
 def timecode(seconds: float) -> str:
-    """``HH:MM:SS:FF.mmm``, frames of 1/60 s and thousandths of a frame."""
+    """``HH:MM:SS:FF.mmm`` with frames of 1/60 s and thousandths of a frame."""
     thousandths = round(seconds * TIMECODE_FPS * 1000)
     frames, thousandth = divmod(thousandths, 1000)
     total, frame = divmod(frames, TIMECODE_FPS)
@@ -22,7 +22,7 @@ def timecode(seconds: float) -> str:
 
 
 def parse(text: str) -> tuple[float, float | None]:
-    """Whole seconds and frames of ``HH:MM:SS:FF.mmm``; of ``HH:MM:SS.mmm`` seconds and None. Raises ValueError."""
+    """Whole seconds and frames of ``HH:MM:SS:FF.mmm``, or seconds and None of ``HH:MM:SS.mmm``. Raises ValueError."""
     match = _FORM.fullmatch(text.strip())
     if match is None:
         raise ValueError(text)
@@ -32,15 +32,15 @@ def parse(text: str) -> tuple[float, float | None]:
 
 
 def to_seconds(parts: list[tuple[float, float | None]]) -> np.ndarray:
-    """(F,) s of timecodes from :func:`parse`; a take that runs over midnight goes on beyond 24 hours.
+    """(F,) seconds of timecodes from :func:`parse`. In a take that crosses midnight, they continue beyond 24 hours.
 
-    Timecodes do not say how many frames a second has. It is sixty, unless a take with twenty rows a second or more never
-    counts that far: then it is the next usual rate above the largest frame number.
+    Timecodes do not contain the frame rate, which is assumed to be 60. If a take with 20 rows per second or more never counts
+    that far, the rate is the next usual one above the largest frame number.
     """
     whole = np.array([second for second, _ in parts], float)
     frames = np.array([frame or 0.0 for _, frame in parts], float)
     rate = TIMECODE_FPS
-    passed = len(np.unique(whole)) - 2  # seconds that the take holds from their first frame to their last
+    passed = len(np.unique(whole)) - 2  # whole seconds for which the take has every frame
     if (passed > 0 and len(parts) >= 20 * (passed + 2)) or frames.max(initial=0) >= TIMECODE_FPS:
         rate = next((rate for rate in _RATES if frames.max(initial=0) < rate), _RATES[-1])
     seconds = whole + frames / rate

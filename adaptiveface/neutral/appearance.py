@@ -1,4 +1,4 @@
-"""How the skin around the 2D features looks, gathered from the colour pictures of the neutral scan."""
+"""Gather the appearance of the skin around the 2D features from the colour pictures of the neutral scan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..model.appearance import BLURS, Appearance, channels
 from ..parameters import RefinementParameters
 from .features import surface_patch
 
-#: Cosine between skin and viewing ray from which on a picture counts at all.
+#: Smallest cosine between the skin's normal and the viewing ray at which a picture counts.
 MIN_COSINE = 0.3
 #: A sample needs as much as one view in which it faces the camera by this cosine.
 SEEN = 0.5

@@ -24,7 +24,7 @@ from .features import ALONG
 
 #: Gauss-Newton rounds.
 ROUNDS = 10
-#: Neighbouring landmarks err alike: together they count as this share of independent ones.
+#: Weight of landmarks relative to independent ones, because neighbouring landmarks have similar errors.
 SHARE = 0.3
 #: Neighbouring offsets are alike as well: what all landmarks of a person say alike must not be forced into the identity.
 OFFSET_SHARE = 1.0

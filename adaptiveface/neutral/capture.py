@@ -1,4 +1,4 @@
-"""Section 3 in one call: depth frames of a neutral face in, the personal rig out."""
+"""Run section 3 in one call: build the personal rig from depth frames of a neutral face."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .shrink_wrap import ShrinkWrap, shrink_wrap
 from .skin import gather_skin
 
 DEFAULTS = Parameters()
-#: How often hair is looked for: a head that was fitted without hair reveals more of it.
+#: Number of searches for hair. A head that was fitted without hair reveals more of it.
 HAIR_ROUNDS = 2
 
 
@@ -111,7 +111,7 @@ def capture_neutral(
     places = calibrated_features(constraints, model, wrap.vertices, parameters.shrink_wrap.feature_shift)
     landmarks = calibrated_landmarks(scan, model, wrap.vertices)
     actor = replace(actor, feature_triangles=places[0], feature_weights=places[1], landmarks=landmarks)
-    if constraints.trust < 1.0:  # the features were detected, and have errors
+    if constraints.trust < 1.0:  # the features are detected, so they have errors
         actor = _looked_at(actor, wrap.vertices, frames, scan, parameters)
     report("blendshapes", 1.0)
     return NeutralCapture(scan, fit, wrap, constraints, actor)

@@ -115,7 +115,7 @@ def choose(judged: Sequence[Judged | None], count: int) -> Choice:
 
 
 def leading_is_calm(cost: np.ndarray, judged: Sequence[Judged | None]) -> bool:
-    """Whether enough of the frames are calm, and some of them seen from the front."""
+    """Whether enough of the frames are calm and some of them show the face from the front."""
     calm = cost.max(axis=1) < 1
     frontal = sum(bool(ok) and face is not None and face.angle < FRONTAL for ok, face in zip(calm, judged, strict=True))
     return bool(calm.mean() >= ENOUGH and frontal >= min(3, max(1, len(judged) // 8)))
@@ -127,7 +127,7 @@ def doubts(judged: Sequence[Judged | None], turned: bool = True) -> str:
     if not turned:
         cost[:, :2] = 0.0
         aside = np.array([face is None or face.angle >= ASIDE for face in judged], bool)
-        cost[aside, 2:] = 0.0  # there the detector guesses
+        cost[aside, 2:] = 0.0  # the detector guesses there
     calm = cost.max(axis=1, initial=0.0) < 1
     return "" if not len(judged) or calm.mean() >= ENOUGH else _trouble(cost)
 

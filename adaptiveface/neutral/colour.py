@@ -1,4 +1,4 @@
-"""The neutral without depth: what the 2D features of some frames tell about a person.
+"""Estimate the neutral without depth, from the 2D features of some frames.
 
 Where the detector's landmarks are at hand, identity, poses and expressions of all frames are solved together
 (``neutral/bundle.py``), so that no frame need be neutral. From the 40 features alone, poses and identity of neutral frames
@@ -35,7 +35,7 @@ DEFAULTS = Parameters()
 FEATURE_SIGMA, ROUNDS = 1.1, 8
 #: What many frames say alike counts as this many independent ones: a detector's errors stay from frame to frame.
 INDEPENDENT_FRAMES = 4.0
-#: Frames that are solved together: more take time and tell little.
+#: Largest number of frames that are solved together. More take time and add little.
 MAX_VIEWS = 36
 #: Nobody sits nearer to a camera than the first; where a guessed focal length says so, the second is taken instead, mm.
 NEAREST, USUAL = 260.0, 450.0
@@ -83,7 +83,7 @@ def capture_colour(
 
 
 def _from_features(frames: Sequence[RgbdFrame], model: FaceModel, parameters: Parameters) -> Actor:
-    """From the 40 features of neutral frames."""
+    """Solve from the 40 features of neutral frames."""
     identity, seen, poses = fit_identity_to_features(frames, model, parameters.fit.modes)
     check_identity(identity)
     neutral = model.neutral(identity)
@@ -107,7 +107,7 @@ def _from_features(frames: Sequence[RgbdFrame], model: FaceModel, parameters: Pa
 def _from_landmarks(
     frames: Sequence[RgbdFrame], model: FaceModel, landmarks: FeatureSet, parameters: Parameters, guessed_focal: bool
 ) -> ColourCapture:
-    """From the detector's landmarks of frames in any expression."""
+    """Solve from the detector's landmarks of frames with any expression."""
     focal = focal_factor(frames, model) if guessed_focal else 1.0
     frames = [replace(frame, camera=frame.camera.zoomed(focal)) for frame in frames]
     solved = solve_frames(frames, model, parameters.fit.modes)

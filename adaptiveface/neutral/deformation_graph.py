@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ..geometry.mesh import edges
 
-_NEIGHBOURS = 4  # nodes that carry a vertex
+_NEIGHBOURS = 4  # number of nodes that move a vertex
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class DeformationGraph:
 
 
 def deformation_graph(vertices: np.ndarray, triangles: np.ndarray, spacing: float) -> DeformationGraph:
-    """Spread nodes about ``spacing`` mm apart, measured along the mesh: the lips must not carry one another."""
+    """Spread nodes about ``spacing`` mm apart along the mesh, so that neither lip moves the other."""
     pairs = edges(triangles)
     length = np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
     net = sp.coo_matrix((length, (pairs[:, 0], pairs[:, 1])), (len(vertices),) * 2).tocsr()

@@ -1,4 +1,4 @@
-"""The expression that the frames of a neutral scan show after all, and the neutral without it.
+"""Estimate the expression that the frames of a neutral scan still show, and remove it from the neutral.
 
 People smile at cameras. A smile that is taken for the person's own face ruins the rig: it is missing in every smile, and calm
 frames get its opposite. So the head is fitted with expression coefficients beside those of the identity

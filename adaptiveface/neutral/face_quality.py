@@ -1,4 +1,4 @@
-"""What a live frame of a face is worth for the neutral scan: head angles, expression, sharpness, depth.
+"""Judge a live frame of a face for the neutral scan: head angles, expression, sharpness, depth.
 
 Everything is judged from the 2D features against the model's neutral face seen under the same pose, so that turning the
 head changes nothing by itself. Lengths in pictures are given in eye distances, from outer corner to outer corner.
@@ -49,7 +49,7 @@ class Expression:
 
     @property
     def warning(self) -> str:
-        """What to change, or ""."""
+        """Advice on what to change, or ""."""
         texts = {
             "mouth_open": "close your mouth",
             "mouth_width": "relax your mouth",
@@ -90,7 +90,7 @@ def expression(features: Features2D, neutral_pixels: np.ndarray) -> Expression:
 
 
 def _gap(pixels: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """Mean distance of the features ``a`` from ``b``, px; NaN where none of them is seen."""
+    """Mean distance of the features ``a`` from ``b``, px; NaN if none is seen."""
     lengths = np.linalg.norm(pixels[a] - pixels[b], axis=1)
     lengths = lengths[np.isfinite(lengths)]
     return float(lengths.mean()) if len(lengths) else float("nan")

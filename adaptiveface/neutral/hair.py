@@ -1,4 +1,4 @@
-"""Hair, hands, scarves: what hangs into the face from outside it must not become part of the neutral.
+"""Remove hair, hands and scarves from the scan: things that hang into the face must not become part of the neutral.
 
 The head of the identity modes lies within a millimetre or two of skin wherever people have been measured; hair stands out
 from it by a centimetre. So points of the scan that stand out far are not skin where they hang together with what lies
@@ -18,12 +18,12 @@ from ..geometry.mesh import grow, vertex_normals
 from ..model.face_model import FaceModel
 from .fuse import FusedScan
 
-#: Points nearer than this hang together, and are averaged, mm.
+#: Points nearer to each other than this are connected and averaged, mm.
 TOGETHER = 6.0
 #: Hair thins out into the skin: near points that stand out far, within the second number of mm, those that stand out by
 #: this share of what counts as far belong to it.
 THIN, SEAM = 0.4, 15.0
-#: Vertices within this many rings of hair lie under it: hair is sparse.
+#: Vertices within this many rings of hair count as lying under it, because hair is sparse.
 SHADOW = 3
 #: The face's rim is this many rings of vertices wide. Of what is left out at least this share must lie on the face: a neck
 #: that is held in another way than the model's does no harm.

@@ -1,4 +1,4 @@
-"""The frames of a recording from which the neutral is taken: read, judged and chosen."""
+"""Read, judge and choose the frames of a recording from which the neutral is captured."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.frame import Features2D, RgbdFrame
 from .choice import LOOK, Judged, choose, costs, doubts, judge, leading_is_calm
 
-#: A face counts as found in a frame from this many valid features on.
+#: Number of valid features from which a face counts as found in a frame.
 MIN_FEATURES = 6
 #: How to name the frames.
 WAY_OUT = "--neutral-frames FIRST:LAST takes others"
@@ -20,7 +20,7 @@ Step = Callable[[], object]
 
 
 class Reader(Protocol):
-    """What reads the frames: a :class:`~adaptiveface.pipeline.FrameReader`."""
+    """A reader of frames, such as :class:`~adaptiveface.pipeline.FrameReader`."""
 
     @property
     def source(self) -> Sized:
@@ -34,7 +34,7 @@ class Reader(Protocol):
 
 
 def face_found(frame: RgbdFrame) -> bool:
-    """Whether enough 2D features are seen to say that there is a face."""
+    """Whether enough 2D features are seen to count as a face."""
     return frame.features is not None and int(frame.features.valid.sum()) >= MIN_FEATURES
 
 

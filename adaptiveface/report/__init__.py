@@ -1,6 +1,6 @@
-"""Write the report of a run: one ``report.html`` with pictures, animation, learning, errors and timings.
+"""Write the report of a run: one ``report.html`` with pictures, an animation, learning, errors and timings.
 
-It needs no network, no display and no script; everything is inline, and it follows the reader's light or dark theme.
+The page needs no network, display or script, because everything is inline. It follows the reader's light or dark theme.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .context import Context
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-#: At most this many frames are scored for the report when no evaluation is handed over; they are spread over the run.
+#: Largest number of frames, spread over the run, that are scored for the report if no evaluation is given.
 MAX_SCORED = 120
 
 
@@ -51,7 +51,7 @@ def write_report(
     result : Result or iterable of TrackedFrame
         The tracked frames, one for every frame of the source.
     source
-        Where they came from (``read(index)``, ``name``), or None for a report without pictures of the input.
+        The source of the frames, with ``read(index)`` and ``name``. None for a report without pictures of the input.
     actor : Actor
         The rig.
     out_dir : path-like
@@ -59,27 +59,27 @@ def write_report(
     truth : optional
         A sensor with ``ground_truth(index)``, or the path of a ``ground_truth.npz``.
     evaluation : Evaluation, optional
-        Errors that were scored already. Without, up to ``MAX_SCORED`` frames are scored here.
+        Errors that are already scored. By default, up to ``MAX_SCORED`` frames are scored here.
     correctives : (K, N, 3) or (3n, K), optional
-        The corrective shapes at the end, over all vertices or over the frontal ones.
+        The corrective shapes at the end of the run, mm, over all vertices or over the frontal ones.
     parameters : Parameters, optional
-        Of the run, where ``result`` is an iterable of frames.
+        The parameters of the run, if ``result`` is an iterable of frames.
     known : KnownCoefficients, optional
-        Coefficients that are known (:mod:`adaptiveface.evaluation.coefficients`).
+        True coefficients (:mod:`adaptiveface.evaluation.coefficients`).
     still_frames : int
-        How many of the leading frames show the neutral face, to measure the jitter by.
+        Number of leading frames that show the neutral face, from which the jitter is measured.
     character : str
         The character that the section on retargeting shows.
 
     Returns
     -------
     pathlib.Path
-        Of ``report.html``.
+        Path of ``report.html``.
 
     Raises
     ------
     AdaptiveFaceError
-        The run is empty; its kind :class:`~adaptiveface.errors.FileFormatError` where the truth cannot be read.
+        The run is empty. If the truth cannot be read, the error is a :class:`~adaptiveface.errors.FileFormatError`.
     """
     context = _context(result, source, actor, truth, evaluation, parameters)
     note = ""
@@ -100,7 +100,7 @@ def write_report(
 def _body(
     context: Context, name: str, note: str, about_retargeting: Markup | str, correctives: np.ndarray | None
 ) -> list[Markup | str]:
-    """The sections in their order."""
+    """The sections in order."""
     return [
         sections.heading(name, context.result.colour_only),
         sections.doubt(context),
@@ -121,7 +121,7 @@ def _body(
 
 
 def _context(result, source, actor, truth, evaluation: Evaluation | None, parameters: Parameters | None) -> Context:
-    """What the sections share: a result with an even clock, its source as the tracker saw it, and the truth."""
+    """Collect what the sections share: a result with an even clock, its source as the tracker saw it, and the truth."""
     if not isinstance(result, Result):
         result = Result.of_frames(result, actor, parameters)
     if not len(result):
@@ -137,9 +137,9 @@ def _context(result, source, actor, truth, evaluation: Evaluation | None, parame
 
 
 def score(context: Context, step: int = 1) -> Evaluation:
-    """Errors of v1 and v4 at every ``step``-th frame."""
+    """Score the errors of v1 and v4 at every ``step``-th frame. ``context`` must have a truth."""
     result = context.result
-    assert context.truth is not None  # asked for by the caller
+    assert context.truth is not None  # the caller ensures it
     collector = ErrorCollector(context.truth, context.actor, ("v1", "v4"))
     for k in range(0, len(result), step):
         if result.tracked[k]:
@@ -151,7 +151,7 @@ def score(context: Context, step: int = 1) -> Evaluation:
 
 
 def _whole_mesh(correctives: np.ndarray | None, actor) -> np.ndarray | None:
-    """(K, N, 3) correctives from the tracker's (3n, K) columns over the n frontal vertices, or as they are."""
+    """(K, N, 3) correctives, from that shape or from the tracker's (3n, K) columns over the n frontal vertices."""
     if correctives is None or correctives.ndim == 3:
         return correctives
     out = np.zeros((correctives.shape[1], len(actor.neutral), 3))

@@ -1,4 +1,7 @@
-"""The report's charts as inline SVG. Colours: Okabe & Ito (2008), safe for colour-blind readers; maps: cividis."""
+"""Draw the report's charts as inline SVG.
+
+Lines have the colours of Okabe & Ito (2008) and heat maps use cividis; both are safe for colour-blind readers.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +100,7 @@ def _mark_spans(axis, spans: Spans) -> None:
 
 
 def _over_time(axis, times: np.ndarray, label: str, columns: int, spans: Spans) -> None:
-    """What curves over the whole take have in common: limits and labels, a legend of so many columns, marked spans."""
+    """Set limits, labels, a legend of ``columns`` columns and marked spans on an axis over the whole take."""
     axis.set_xlim(times[0], times[-1] + 1e-6)
     axis.set_ylabel(label)
     axis.set_xlabel("time, s")
@@ -110,16 +113,16 @@ def _break_at_gaps(values: np.ndarray, tracked: np.ndarray) -> np.ndarray:
 
 
 def _top(values, default: float = 1.0) -> float:
-    """A fixed upper end for an axis: the largest of the values without the wildest half percent, and a margin."""
+    """The upper end of an axis: the 99.8th percentile of the values and a margin."""
     finite = np.asarray(values)[np.isfinite(values)]
     return float(np.percentile(finite, 99.8)) * 1.15 + 1e-6 if finite.size else default
 
 
 def stage_timings(result: Result) -> Markup:
-    """Median of every stage as a bar, its 95th percentile as a whisker, the paper's figure as a diamond; ms."""
+    """Times per stage, ms: the median as a bar, the 95th percentile as a whisker, the paper's figure as a diamond."""
     with matplotlib.rc_context(_STYLE):
         names = result.stage_names
-        # A lost frame may have stopped before a stage ran: its time there is unknown, not zero.
+        # A lost frame may have stopped before a stage began. Its time is then unknown, not zero.
         times = np.where(result.tracked[:, None] | (result.stage_ms > 0), result.stage_ms, np.nan)
         keep = [k for k in range(len(names)) if np.isfinite(times[:, k]).any()]
         median = np.array([np.nanmedian(times[:, k]) for k in keep])
@@ -142,7 +145,7 @@ def stage_timings(result: Result) -> Markup:
 
 
 def coefficients(result: Result, limits: BlendshapeParameters, spans: Spans = ()) -> Markup:
-    """Every coefficient over time as one heat map, on the fixed range of its bounds."""
+    """Every coefficient over time as one heat map over the range of the bounds."""
     with matplotlib.rc_context(_STYLE):
         count = result.coefficients.shape[1]
         figure, (axis,) = _figure(0.17 * count + 1.1)
@@ -184,7 +187,7 @@ def adaptation(result: Result, spans: Spans = ()) -> Markup:
 
 def held_out(result: Result, spans: Spans = ()) -> Markup:
     """Error of the held-out landmarks over time, by region, % of the eyes' distance."""
-    assert result.held_out is not None  # only then is the section written
+    assert result.held_out is not None  # the section is written only then
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
         t, seen = result.timestamps, result.tracked & np.any(result.held_out > 0, axis=1)
@@ -199,11 +202,11 @@ def held_out(result: Result, spans: Spans = ()) -> Markup:
 
 
 def learning(result: Result, spans: Spans = ()) -> Markup:
-    """What became of each frame as a training sample, and the number of PCA updates so far."""
+    """The state of each frame as a training sample, and the number of PCA updates so far."""
     with matplotlib.rc_context(_STYLE):
         figure, (states, updates) = _figure(2.9, rows=2, ratios=(1, 2.4))
         t, state = result.timestamps, np.asarray(result.sample_state)
-        width = max(650 / len(t), 0.4)  # points: the strip has no gaps
+        width = max(650 / len(t), 0.4)  # in points, so that the strip has no gaps
         for value, (colour, name) in STATE_COLOURS.items():
             times = t[state == value]
             label = f"{name} ({len(times)})"
@@ -224,7 +227,7 @@ def learning(result: Result, spans: Spans = ()) -> Markup:
 
 
 def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> Markup:
-    """Surface error and motion error of the first and the last stage over time, mm; timestamps (F,) of its frames."""
+    """Surface and motion error of the first and the last stage over time, mm. ``timestamps`` (F,) s are of scored frames."""
     with matplotlib.rc_context(_STYLE):
         figure, (surface, motion) = _figure(4.6, rows=2)
         stages = [(evaluation.stages[-1], BLUE)]
@@ -253,7 +256,7 @@ def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> Markup:
 
 
 def coefficient_errors(known: KnownCoefficients) -> Markup:
-    """Root mean square error of every expression, initial beside re-solved."""
+    """Root mean square error of every expression's coefficient, initial and re-solved side by side."""
     with matplotlib.rc_context(_STYLE):
         initial, resolved = (known.rms_by_expression(name) for name in (INITIAL, RESOLVED))
         order = np.argsort(-initial)
@@ -271,7 +274,7 @@ def coefficient_errors(known: KnownCoefficients) -> Markup:
 
 
 def known_curves(known: KnownCoefficients, count: int = 4) -> Markup:
-    """The expressions that move most over time: the truth, initial and re-solved."""
+    """Truth, initial and re-solved coefficients over time for the ``count`` expressions that move most."""
     with matplotlib.rc_context(_STYLE):
         chosen = sorted(np.argsort(-known.truth.std(axis=0))[:count])
         figure, axes = _figure(1.15 * len(chosen) + 0.6, rows=len(chosen))
@@ -288,7 +291,7 @@ def known_curves(known: KnownCoefficients, count: int = 4) -> Markup:
 
 
 def step_responses(fps: float) -> Markup:
-    """What every smoothing makes of a step."""
+    """The response of every smoothing to a step, at ``fps`` frames per second."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.7)
         for (name, smoothing), colour in zip(COMPARED.items(), (BLUE, SKY, ORANGE, VERMILLION), strict=True):

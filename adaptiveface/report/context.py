@@ -1,4 +1,4 @@
-"""What the sections of the report share."""
+"""Hold the data that the sections of the report share."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Spans = tuple[tuple[float, float, str], ...]
 
 
 class Source(Protocol):
-    """What frames are read from again."""
+    """A source from which frames can be read again."""
 
     def read(self, index: int) -> RgbdFrame:
         """Frame ``index``. Raises :class:`~adaptiveface.errors.FrameError`."""
@@ -29,7 +29,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Context:
-    """The run and its parameters, its source (or None), the rig, the truth and the evaluation (or None)."""
+    """The run with its parameters and rig. Source, truth and evaluation may be None."""
 
     result: Result
     parameters: Parameters
@@ -39,7 +39,7 @@ class Context:
     evaluation: Evaluation | None = None
 
     def frames(self, numbers: Iterable[int]) -> list[tuple[int, RgbdFrame]]:
-        """(number, frame) of those that can be read."""
+        """(number, frame) of the frames that can be read among ``numbers``."""
         read = ((number, self._frame(number)) for number in numbers)
         return [(number, frame) for number, frame in read if frame is not None]
 
@@ -52,7 +52,7 @@ class Context:
             return None
 
     def initial_vertices(self, number: int) -> np.ndarray:
-        """(N, 3) mm: v1 = b0 + B x of a frame in the camera frame, from its initial coefficients (section 4.2)."""
+        """(N, 3) v1 = b0 + B x of a frame in the camera frame, mm, from its initial coefficients (section 4.2)."""
         x, pose = self.result.coefficients_initial[number], self.result.head_pose[number]
         head = self.actor.neutral + np.tensordot(x, self.actor.blendshapes[: len(x)], axes=1)
         return head @ pose[:3, :3].T + pose[:3, 3]
@@ -60,12 +60,12 @@ class Context:
     @property
     def scored_times(self) -> np.ndarray:
         """(F,) seconds of the scored frames."""
-        assert self.evaluation is not None  # only charts of errors ask
+        assert self.evaluation is not None  # only charts of errors use it
         return self.result.timestamps[self.evaluation.index]
 
     @property
     def spans(self) -> Spans:
-        """First and last second of the neutral, the first performance and the repeat, as far as they were scored."""
+        """First and last second of each scored part: the neutral, the first performance and the repeat."""
         if self.evaluation is None:
             return ()
         times, spans = self.scored_times, []

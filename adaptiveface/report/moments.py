@@ -1,4 +1,4 @@
-"""Moments of a performance that are worth showing."""
+"""Choose the moments of a performance that are worth showing."""
 
 from __future__ import annotations
 
@@ -8,9 +8,21 @@ from ..result import Result
 
 
 def expressive_frames(result: Result, count: int, spacing: int = 5) -> list[int]:
-    """Tracked frames that show much and differ, in time order: farthest points of the coefficients.
+    """Choose expressive tracked frames that differ from each other, by farthest-point sampling of the coefficients.
 
-    ``spacing``: least number of frames between two of them.
+    Parameters
+    ----------
+    result : Result
+        The run.
+    count : int
+        Largest number of frames.
+    spacing : int
+        Smallest number of frames between two of them.
+
+    Returns
+    -------
+    list of int
+        Frame numbers in order of time.
     """
     candidates = np.flatnonzero(result.tracked)
     if not len(candidates):
@@ -27,7 +39,7 @@ def expressive_frames(result: Result, count: int, spacing: int = 5) -> list[int]
 
 
 def liveliest_window(result: Result, length: int) -> range:
-    """The stretch of ``length`` frames (fewer when the run is shorter) whose coefficients change most."""
+    """The ``length`` consecutive frames (fewer in a shorter run) whose coefficients change most."""
     length = min(length, len(result))
     change = np.abs(np.diff(result.coefficients, axis=0)).sum(axis=1)
     change[~(result.tracked[1:] & result.tracked[:-1])] = 0

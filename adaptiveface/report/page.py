@@ -1,4 +1,4 @@
-"""Small pieces of HTML: everything inline, so that the page opens anywhere without a network."""
+"""Build pieces of HTML with everything inline, so that the page opens anywhere without a network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from PIL import Image
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-#: Stands for the page's text colour in charts.
+#: Placeholder in charts for the page's text colour.
 INK = "#010203"
 
 
@@ -70,19 +70,19 @@ class Changed(str):
 
 
 class Link(str):
-    """A table cell that leads to ``address``."""
+    """A table cell that links to ``address``."""
 
     address: str
 
     def __new__(cls, text: str, address: str) -> Link:
-        """The cell of a table with ``text`` that leads to ``address``."""
+        """Create a cell that shows ``text``."""
         cell = super().__new__(cls, text)
         cell.address = address
         return cell
 
 
 def inline_svg(text: str, prefix: str) -> Markup:
-    """A Matplotlib SVG made fit for inlining: prolog, metadata and namespaces dropped, ids made unique by ``prefix``.
+    """Prepare a Matplotlib SVG for inlining: drop prolog, metadata and namespaces, and make ids unique by ``prefix``.
 
     ``INK`` becomes ``currentColor``, so that axes and text follow the page's light or dark theme.
     """

@@ -1,4 +1,4 @@
-"""Pictures of the tracked face: overlays on the colour image, heat maps, portraits of the rig. Ray-cast, no OpenGL."""
+"""Draw the tracked face by ray casting, without OpenGL: overlays on the colour image, heat maps, portraits of the rig."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _MOUTH = (58, 34, 34)
 
 @dataclass(frozen=True)
 class View:
-    """A magnified window of an image: ``camera`` of the magnified one, ``window`` u0, v0, u1, v1 in the original."""
+    """A magnified window of an image, with the ``camera`` of the magnified image and the ``window`` u0, v0, u1, v1, px."""
 
     camera: Camera
     window: tuple[int, int, int, int]
 
     def crop(self, colour: np.ndarray | None, depth: np.ndarray) -> np.ndarray:
-        """(h, w, 3) uint8 magnified input: the colour image, or a grey picture of the depth where there is none."""
+        """(h, w, 3) uint8 magnified colour image, or a grey picture of the depth if there is no colour image."""
         u0, v0, u1, v1 = self.window
         source = depth_picture(depth) if colour is None else colour
         size = (self.camera.width, self.camera.height)
@@ -33,7 +33,7 @@ class View:
 
 
 def face_view(camera: Camera, meshes: np.ndarray, width: int, aspect: float = 1.25) -> View:
-    """The view that holds ``meshes`` (F, n, 3), camera frame, ``width`` pixels wide and ``aspect`` times as high."""
+    """The view, ``width`` pixels wide and ``aspect`` times as high, that contains ``meshes`` (F, n, 3) in the camera frame."""
     u0, v0, u1, v1 = covering_window(camera, meshes.reshape(-1, 3), margin=14)
     w = min(max(u1 - u0, (v1 - v0) / aspect, 16), camera.width, camera.height / aspect)
     h = w * aspect
@@ -52,7 +52,7 @@ def _magnified(camera: Camera, times: float) -> Camera:
 
 
 def depth_picture(depth: np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8: near is light, far is dark, no measurement is black."""
+    """(H, W, 3) uint8 picture of depth (H, W), mm: near is light, far is dark, and pixels without a measurement are black."""
     seen = depth > 0
     if not seen.any():
         return np.zeros((*depth.shape, 3), np.uint8)
@@ -70,7 +70,7 @@ def wire_overlay(background: np.ndarray, view: View, vertices: np.ndarray, trian
     """The mesh's edges over an image (h, w, 3); vertices (N, 3) in the camera frame."""
     camera, times = view.camera, 3
     hits = ray_cast(_magnified(camera, times), vertices, triangles, cull=True)
-    # Close to an edge one barycentric weight is small; divided by its change per pixel it is the distance in pixels.
+    # Near an edge one barycentric weight is small. Divided by its change per pixel, it gives the distance in pixels.
     smallest = hits.barycentric.min(axis=2)
     down, right = np.abs(np.diff(smallest, axis=0)), np.abs(np.diff(smallest, axis=1))
     change = np.zeros_like(smallest)
@@ -91,7 +91,26 @@ def shaded_overlay(background: np.ndarray, view: View, vertices: np.ndarray, tri
 def completed(
     insides: Insides | None, head: np.ndarray, triangles: np.ndarray, colours: np.ndarray, gaze: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, triangles and colours of a head (N, 3) mm, head frame, with the parts inside it; colours (N, 3)."""
+    """Add the parts inside a head to its mesh.
+
+    Parameters
+    ----------
+    insides : Insides or None
+        The parts. None leaves the mesh as it is.
+    head : (N, 3) array
+        Vertices in the head frame, mm.
+    triangles : (T, 3) array
+        Its triangles.
+    colours : (N, 3) array
+        RGB in 0..255.
+    gaze : (2, 2) array, optional
+        As for :meth:`Insides.at`.
+
+    Returns
+    -------
+    vertices, triangles, colours
+        Of the whole mesh.
+    """
     if insides is None:
         return head, triangles, colours
     return (
@@ -111,10 +130,20 @@ def heat_overlay(
 
 
 class Portraits:
-    """Portraits of heads in the head frame, on a transparent background: the actor's skin and what is inside it.
+    """Draws portraits of heads in the head frame on a transparent background.
 
-    ``size`` (width, height) pixels; ``whole`` frames the whole head instead of the face.
-    Eyes, teeth and tongue are there where the actor's mesh is the embedded model's.
+    Eyes, teeth and tongue are drawn if the actor's mesh is the embedded model's.
+
+    Parameters
+    ----------
+    actor : Actor
+        The rig.
+    size : tuple of int
+        Width and height, px.
+    whole : bool
+        Whether to frame the whole head instead of the face.
+    sampling : int
+        Rays per pixel along each axis.
     """
 
     def __init__(self, actor, size: tuple[int, int], whole: bool = False, sampling: int = 2):
@@ -131,19 +160,36 @@ class Portraits:
         self._insides = make_insides(actor.neutral, actor.triangles)
 
     def draw(self, head: np.ndarray, values: np.ndarray | None = None, limits=None, turn: float = 0.0) -> np.ndarray:
-        """(h, w, 4) RGBA of a head (N, 3) turned by ``turn`` degrees; ``values`` (N,) between ``limits`` colour it."""
+        """Draw a head.
+
+        Parameters
+        ----------
+        head : (N, 3) array
+            Vertices in the head frame, mm.
+        values : (N,) array, optional
+            Values that colour the skin, between ``limits``.
+        limits : tuple of float, optional
+            Ends of the colour scale.
+        turn : float
+            Turn about the vertical, degrees.
+
+        Returns
+        -------
+        (h, w, 4) uint8 array
+            RGBA.
+        """
         colours = np.tile(np.array(SKIN, float), (len(head), 1)) if values is None else heat_map(values, limits)
         vertices, triangles, colours = completed(self._insides, head, self.actor.triangles, colours)
         vertices = transform_points(self._pose(turn), vertices)
         hits = ray_cast(self.camera, vertices, triangles, cull=True)
-        # Through the open mouth one sees the inside of the back of the head: that is the dark of the mouth.
+        # Through the open mouth, rays hit the inside of the back of the head. These pixels get the dark colour of the mouth.
         inside = ray_cast(self.camera, vertices, self.actor.triangles).mask & ~hits.mask
         rgb = shade(hits, vertices, triangles, colours, camera=self.camera, background=_MOUTH)
         rgba = np.dstack([rgb, np.where(hits.mask | inside, 255, 0).astype(np.uint8)])
         return _shrink(rgba, self.size)
 
     def _pose(self, degrees: float) -> np.ndarray:
-        """(4, 4) head to camera: facing the camera, turned about the vertical."""
+        """(4, 4) head to camera for a head that faces the camera, turned about the vertical by ``degrees``."""
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         pose = np.eye(4)
         pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ [[c, 0, s], [0, 1, 0], [-s, 0, c]]
@@ -152,7 +198,7 @@ class Portraits:
 
 
 def on_backdrop(rgba: np.ndarray, colour=(52, 58, 68)) -> np.ndarray:
-    """(h, w, 3) uint8: an RGBA picture over one colour."""
+    """(h, w, 3) uint8: an RGBA picture over a background of one colour."""
     alpha = rgba[..., 3:] / 255
     return (rgba[..., :3] * alpha + np.array(colour) * (1 - alpha)).astype(np.uint8)
 

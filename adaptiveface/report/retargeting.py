@@ -1,4 +1,4 @@
-"""The report's section on section 6 of the paper: which coefficients drive another face, and what smoothing costs."""
+"""Write the section on section 6 of the paper: coefficients that drive another face, and the cost of smoothing."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 _BACKDROP, _SIZE, _YAW = (52, 58, 68), 230, 14.0
-#: The first frames of a run still find their pose and coefficients: they do not count as jitter.
+#: Number of frames at the start that do not count as jitter, because pose and coefficients still settle; fewest frames needed.
 _SETTLING, _FEWEST_STILL = 2, 8
 
 
 def section(context: Context, character: Character, known: KnownCoefficients | None, still_frames: int) -> Markup | str:
-    """Figure 8 on a character, the error of the coefficients where they are known, jitter and lag of each smoothing.
+    """Figure 8 on a character, the error of the coefficients if they are known, and jitter and lag of each smoothing.
 
-    ``still_frames``: how many leading frames show a still face (0: none that is known of).
+    ``still_frames`` is the number of leading frames that show a still face, or 0 if unknown.
     """
     if not context.result.tracked.any():
         return ""
@@ -54,7 +54,7 @@ def _faces(context: Context, character: Character, count: int = 3) -> Markup:
 
 
 def _driven(result, actor, character: Character, k: int, v4: np.ndarray) -> list[tuple[np.ndarray, str]]:
-    """(V, 3) of the character and a caption: initial, re-solved and, on the actor's topology, with correctives."""
+    """Vertices (V, 3) of the character with captions: initial, re-solved and, if it has the actor's topology, correctives."""
     x = result.coefficients[k]
     table = arkit_weights(actor.expression_names[: len(x)])
     initial, resolved = character.shape(character.weights(table.curves(np.stack([result.coefficients_initial[k], x]))))

@@ -1,4 +1,4 @@
-"""The sections of the report that show the face: animated preview, tracked frames, the personal rig."""
+"""Write the sections of the report that show the face: animated preview, tracked frames, personal rig."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .moments import expressive_frames, liveliest_window
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-#: Upper end of the heat maps: difference of the final mesh from the initial blendshape fit, error of its motion; mm.
+#: Upper end of the heat maps of the final mesh (difference from the initial blendshape fit, error of motion), mm.
 HEAT_LIMIT = 4.0
 
 
 def preview(context: Context, length: int = 75, step: int = 2, width: int = 300) -> Markup | str:
-    """An endless animation of the liveliest stretch: the input, the tracked mesh over it, the mesh from the side."""
+    """An endless animation of the liveliest part: the input, the tracked mesh over it, and the mesh from the side."""
     result, actor = context.result, context.actor
     read = context.frames(k for k in liveliest_window(result, length)[::step] if result.tracked[k])
     if len(read) < 2:
@@ -44,13 +44,13 @@ def preview(context: Context, length: int = 75, step: int = 2, width: int = 300)
 
 
 def legend(low: str, high: str, text: str) -> Markup:
-    """The colours of the heat maps, with their ends in words."""
+    """The colour scale of the heat maps, with words at its ends."""
     ramp = np.repeat(heat_map(np.linspace(0, 1, 180))[None].astype(np.uint8), 12, axis=0)
     return page.html().legend(low, high, text, page.image(ramp, "colour scale"))
 
 
 def tracked_frames(context: Context, count: int = 5, width: int = 250) -> Markup | str:
-    """Rows of input, mesh over the input, and heat maps, at frames that show much and differ."""
+    """Rows of input, mesh over the input, and heat maps, for expressive frames that differ from each other."""
     read = context.frames(expressive_frames(context.result, count, spacing=10))
     if not read:
         return ""
@@ -80,7 +80,7 @@ def _row(context: Context, k: int, frame: RgbdFrame, width: int) -> Markup:
 
 def _motion_error(context: Context, k: int, final: np.ndarray) -> np.ndarray:
     actor, truth = context.actor, context.truth
-    assert truth is not None  # asked for by the caller
+    assert truth is not None  # the caller ensures it
     frame = truth[k]
     alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
     error = motion_error(final, actor.neutral, frame.vertices, truth.neutral, frame.head_pose, alignment)
@@ -101,5 +101,5 @@ def rig(context: Context) -> Markup:
 
 
 def breakable(name: str) -> str:
-    """``mouthSmileLeft`` -> ``mouth Smile Left`` with zero-width spaces, so that narrow captions break at the words."""
+    """Put zero-width spaces between the words of ``mouthSmileLeft``, so that narrow captions break there."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "\u200b", name)

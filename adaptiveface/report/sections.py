@@ -1,4 +1,4 @@
-"""The sections of the report, each one function from data to the HTML that ``assets/report.html`` makes of them."""
+"""Write the sections of the report. Each function passes its data to a macro of ``assets/report.html``."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 #: Upper end of the map of mean errors, mm.
 MEAN_ERROR_LIMIT = 2.0
-#: A corrective shape is drawn with this largest displacement, mm.
+#: Largest displacement with which a corrective shape is drawn, mm.
 CORRECTIVE_SIZE = 5.0
 
 
 def heading(name: str, colour_only: bool = False) -> Markup:
-    """Title, and what this is."""
+    """The title and a description of the page."""
     return page.html().heading(name, colour_only, COLOUR_ONLY)
 
 
 def doubt(context: Context) -> Markup:
-    """What has to be said first: that much of the face was not tracked, and the likely reason."""
+    """The warning at the top: that much of the face was not tracked, and the likely reason."""
     return page.html().doubt(context.result.doubt)
 
 
 def tiles(context: Context) -> Markup:
-    """The figures one looks for first."""
+    """The most important figures."""
     result, evaluation = context.result, context.evaluation
     total = result.stage_ms[result.tracked].sum(axis=1) if result.tracked.any() else np.array([np.nan])
     learned = int(np.count_nonzero(np.asarray(result.sample_state) == SampleState.LEARNED))
@@ -75,7 +75,7 @@ def coefficients(context: Context) -> Markup:
 
 
 def fit(context: Context) -> Markup | str:
-    """How far landmarks that no fit used are from where the face puts them; nothing where none were detected."""
+    """Distance of the held-out landmarks from their places on the tracked face; empty if none were detected."""
     result = context.result
     if result.held_out is None or not (text := describe_fit(result.held_out[result.tracked], result.held_out_regions)):
         return ""
@@ -105,7 +105,7 @@ def _corrective_faces(actor: Actor, correctives: np.ndarray) -> Markup:
 
 
 def errors(context: Context, note: str = "") -> Markup | str:
-    """Errors against the ground truth: a table per stage and performance, curves, and where on the face they are."""
+    """Errors against the ground truth: a table per stage and performance, curves, and maps over the face."""
     evaluation = context.evaluation
     if evaluation is None:
         return ""
@@ -143,12 +143,12 @@ def _error_faces(context: Context, evaluation: Evaluation) -> list[Markup]:
 
 
 def timings(context: Context) -> Markup:
-    """Time per stage beside the paper's figures."""
+    """Time per stage and the paper's figures."""
     return page.html().timings(charts.stage_timings(context.result))
 
 
 def parameters(context: Context) -> Markup:
-    """Every parameter of the run, those that differ from the default marked."""
+    """Every parameter of the run. Those that differ from the default are marked."""
     rows = []
     for entry in describe():
         value = getattr(getattr(context.parameters, entry["stage"]), entry["name"])
@@ -162,5 +162,5 @@ def parameters(context: Context) -> Markup:
 
 
 def footer() -> Markup:
-    """Which program wrote this."""
+    """The name and version of the program that wrote the page."""
     return page.html().footer(__version__)

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from .figures import INK, inked, pixels
 from .pictures import encode, image_widget
 
-#: Okabe & Ito's colours, told apart with any colour vision.
+#: The colours of Okabe & Ito, which people with any colour vision can tell apart.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", INK)
 
 #: Little room between the entries of a legend.
@@ -75,7 +75,7 @@ class LiveChart:
         self.update()
 
     def _picture(self, size: tuple[int, int]) -> widgets.DOMWidget:
-        """What holds the PNG, as its ``value``."""
+        """The widget that holds the PNG as its ``value``."""
         return image_widget(*size, format="png", name="adaptiveface-chart")
 
     def update(self, cursor: float = np.nan, **series) -> None:

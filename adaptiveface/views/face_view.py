@@ -1,4 +1,4 @@
-"""The face view: one or several heads side by side with linked cameras, heat maps with one fixed range, points."""
+"""Show heads side by side with linked cameras, heat maps with one fixed range, and points."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class FaceView:
         shown.motion = motion
 
     def hide_head(self, pane: int) -> None:
-        """Leave only the points in a pane; then :meth:`refresh`."""
+        """Show only the points in a pane. Call :meth:`refresh` afterwards."""
         self._shown[pane].visible = False
 
     def show_points(
@@ -175,5 +175,5 @@ class FaceView:
         return surface(shown.vertices, self._triangles, heat=shown.heat if heat is None else heat)
 
     def close(self) -> None:
-        """Send nothing further; the last picture stays and can be turned."""
+        """Send nothing more. The last picture stays and can be turned."""
         self._closed = True

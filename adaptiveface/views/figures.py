@@ -32,7 +32,7 @@ def pixels(canvas: FigureCanvasAgg) -> np.ndarray:
 
 
 def picture(figure: Figure, words: str, dpi: int = 110):
-    """The figure as a PNG that IPython displays; ``words`` say what it shows, for those who do not see it."""
+    """The figure as a PNG for IPython. ``words`` describe it for people who cannot see it."""
     from IPython.display import Image
 
     FigureCanvasAgg(figure)

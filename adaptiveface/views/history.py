@@ -1,4 +1,4 @@
-"""The tracker before every frame of a performance, in a twentieth of the memory.
+"""Keep the tracker before every frame of a performance in a twentieth of the memory.
 
 Samples are kept once for all frames, and meshes in single precision: those of the last frame's result are not kept twice.
 """
@@ -71,7 +71,7 @@ class History:
         return self._entries[index] is not None
 
     def samples(self, index: int) -> int:
-        """How many samples the tracker before frame ``index`` had seen."""
+        """Number of samples that the tracker before frame ``index`` had seen."""
         return self._entries[index].seen
 
     def before(self, index: int) -> Tracker | None:
@@ -89,7 +89,7 @@ class History:
 
 
 def _mesh(mesh: np.ndarray, name: str, last: tuple[TrackedFrame, TrackedFrame] | None) -> np.ndarray | TrackedFrame:
-    """The kept result of the last frame where it has this mesh, else a copy in single precision."""
+    """The kept result of the last frame if it has this mesh, otherwise a copy in single precision."""
     return last[1] if last is not None and getattr(last[0], name) is mesh else in_own_pages(mesh.astype(np.float32))
 
 

@@ -1,4 +1,4 @@
-"""Results of a whole performance in little memory: their meshes are put together when somebody looks at them."""
+"""Keep the results of a whole performance in little memory. Their meshes are rebuilt only when needed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class KeptFrame(TrackedFrame):
 
 
 class Keeper:
-    """What the frames of one actor have in common.
+    """Holds the data that all frames of one actor share.
 
     v1 is made of its coefficients where that gives the same numbers. Of the other meshes those vertices are kept that differ
     from the mesh before: the frontal region, or all that an expression moves.
@@ -67,11 +67,11 @@ class Keeper:
         self._ready: list[tuple[KeptFrame, tuple[np.ndarray, ...]]] = []
 
     def keep(self, result: TrackedFrame) -> KeptFrame:
-        """A result to keep; the meshes of the last few can be had at no cost."""
+        """Return a result in the form to keep. The meshes of the last few need no rebuilding."""
         return result if isinstance(result, KeptFrame) else KeptFrame.of(result, self)
 
     def parts(self, result: TrackedFrame) -> list[tuple[int, np.ndarray]]:
-        """For every mesh which rows differ from the mesh before, and these rows, float32."""
+        """For every mesh, the rows that differ from the previous mesh, and their values in float32."""
         before, out = self._shape(result.coefficients_initial), []
         for name in MESHES:
             mesh = getattr(result, name).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Inside a Jupyter kernel: on which thread callbacks run, what becomes of errors, tasks that end with their view.
+"""Handle callbacks, errors and background tasks of views inside a Jupyter kernel.
 
 JupyterLab runs widget callbacks on a second thread ("subshell"), where they would change trackers and views in the middle of
 what a cell or a background task does with them. Callbacks are therefore handed to the kernel's main loop. Of several that
@@ -55,7 +55,7 @@ def on_main_thread(function: Callable) -> Callable:
     loop, waiting, lock = running_loop(), [], threading.Lock()
 
     def run_newest() -> None:
-        """Run the newest of the calls that wait, and forget the others."""
+        """Run the newest of the waiting calls, and drop the others."""
         with lock:
             arguments, options = waiting.pop()
             waiting.clear()
@@ -78,7 +78,7 @@ def on_main_thread(function: Callable) -> Callable:
 
 @contextmanager
 def shown_errors(show: Callable[[str], None]):
-    """Errors end here: ``show`` gets a message as HTML ("" when all went well); raised too where :func:`strict`."""
+    """Catch errors: ``show`` gets a message as HTML ("" when all went well); it is also raised if :func:`strict`."""
     try:
         yield
     except Exception as error:
@@ -103,7 +103,7 @@ class BackgroundTask:
         return self._task is not None and not self._task.done()
 
     def start(self, coroutine: Coroutine) -> None:
-        """Run ``coroutine`` in place of what runs now, at once where there is no event loop."""
+        """Stop the current task and run ``coroutine``. Without an event loop, it runs to its end at once."""
         self.stop()
         loop = running_loop()
         if loop is None:
@@ -113,13 +113,13 @@ class BackgroundTask:
             self._task.add_done_callback(_tell)
 
     def stop(self) -> None:
-        """Cancel the task, if it runs; another one can start at once."""
+        """Cancel the task if it is running. Another one can start at once."""
         if self.running:
             self._task.cancel()
             self._task = None
 
     async def finished(self) -> None:
-        """Wait for the end; raises what the task raised."""
+        """Wait for the task to end, and raise its error if it failed."""
         while self.running:
             await asyncio.sleep(0.01)
         if self._task is not None and not self._task.cancelled() and self._task.exception() is not None:

@@ -1,4 +1,4 @@
-"""For notebook 05: equation (7) exactly as printed, other Laplacians, holes in the depth map."""
+"""Compare for notebook 05: equation (7) exactly as printed, other Laplacians, holes in the depth map."""
 
 from __future__ import annotations
 

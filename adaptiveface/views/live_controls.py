@@ -1,4 +1,4 @@
-"""The live view's buttons, choices and texts, and how they lie on the page; what they do is in live_view.py."""
+"""Lay out the live view's buttons, choices and texts on the page. Their actions are in ``live_view.py``."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def alert(text: str) -> str:
 
 
 def coverage_bars(coverage: dict[str, float], step: str) -> str:
-    """How far each direction of the scan has come, the present one in bold."""
+    """The progress of every direction of the scan, with the current one in bold."""
     cells = []
     for name in STEPS:
         share = coverage.get(name, 0.0)
@@ -55,7 +55,7 @@ def coverage_bars(coverage: dict[str, float], step: str) -> str:
 
 
 def instruction(guidance: Guidance) -> str:
-    """What to do now, in large letters; red where something is wrong."""
+    """The current instruction in large letters, red if something is wrong."""
     text = "; ".join(guidance.warnings) if guidance.warnings else guidance.text
     colour = ALERT if guidance.warnings else ""
     return f"<b style='font-size:150%;{colour}'>{html.escape(text)}</b>"
@@ -166,7 +166,7 @@ class LiveControls:
         self.widget.add_class("adaptiveface-live-view")
 
     def show(self, scanning: bool, tracking: bool, running: bool) -> None:
-        """Show and enable only what can be used now."""
+        """Show and enable only the controls that can be used now."""
         self.scan.layout.display = "flex" if scanning else "none"
         self.enough.disabled = not scanning
         for button in (self.relearn, self.freeze, self.reset, self.record, self.save):

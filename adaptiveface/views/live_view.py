@@ -24,7 +24,7 @@ from .kernel import BackgroundTask, Displayed, on_main_thread, running_loop, str
 from .live_controls import LiveControls, alert, coverage_bars, dropped_frames, figures, instruction
 from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
 
-#: The most pictures of the face, and of the curves, a second.
+#: Largest rates at which the face and the curves are drawn, pictures per second.
 PICTURES, CHARTS = 25.0, 4.0
 BUILD_STEPS = {
     "fuse": "merging the scan",
@@ -110,7 +110,7 @@ class LiveView(Displayed):
             self.run = None
 
     def close(self) -> None:
-        """Stop, and take the widgets away."""
+        """Stop, and remove the widgets."""
         self.stop()
         self.mesh.close()
         self.widget.close()
@@ -132,7 +132,7 @@ class LiveView(Displayed):
             self.curves.clear()
 
     def freeze(self, on: bool = True) -> None:
-        """Stop learning correctives, or go on."""
+        """Stop or resume learning correctives."""
         if self.controls.freeze.value != on:
             self.controls.freeze.value = on  # this calls back
         elif self.run is not None and self.run.session is not None:
@@ -180,7 +180,7 @@ class LiveView(Displayed):
         return self
 
     def _give_way(self) -> None:
-        """Two views would fight for the camera and the processor."""
+        """Stop, because another view starts. Two views would compete for the camera and the processor."""
         with self._shown():
             self.stop()
             self._say("stopped: another live view was started")

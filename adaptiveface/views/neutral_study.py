@@ -56,7 +56,7 @@ class _Study(Displayed, ABC):
         """Bring the view's panes up to date with the controls; every study has its own."""
 
     def close(self) -> None:
-        """Send nothing further; the last picture stays."""
+        """Send nothing more. The last picture stays."""
         self.view.close()
 
 

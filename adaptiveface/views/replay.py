@@ -1,4 +1,4 @@
-"""A performance tracked again and again: the frame on show at once, the rest in the background."""
+"""Track a performance again whenever parameters change: the shown frame at once, the others in the background."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ class Replay:
         self._task.start(self._run())
 
     async def finished(self) -> None:
-        """Wait for the background run; raises its error."""
+        """Wait for the background run, and raise its error if it failed."""
         await self._task.finished()
 
     @property
     def busy(self) -> bool:
-        """Whether a run goes on in the background."""
+        """Whether a background run is in progress."""
         return self._task.running
 
     def close(self) -> None:
@@ -183,23 +183,23 @@ class Replay:
         return self._history.before(following).model if following < self.done else self.tracker.model
 
     def learned_by(self, index: int) -> tuple:
-        """Something that differs whenever :meth:`model_after` differs, and costs nothing to compare."""
+        """A value that changes whenever :meth:`model_after` changes, and is cheap to compare."""
         following, model = index + 1, self.tracker.model
         if following < self.done:
             return self._made_with[index], self._history.samples(following)
         return self._made_with[index], model.updates, model.count, index
 
     def forget(self) -> None:
-        """Back to the first frame with nothing learned; :meth:`track_up_to` goes on from there."""
+        """Go back to the first frame with nothing learned. :meth:`track_up_to` continues from there."""
         self._task.stop()
         self.results = [None] * len(self.frames)
         self._restart(self.parameters)
 
     def track_up_to(self, index: int) -> None:
-        """Track the frames that are still missing up to ``index``, now."""
+        """Track all missing frames up to ``index`` now."""
         while self.done <= index:
             self._advance()
 
     def series(self, name: str) -> np.ndarray:
-        """(F,) a number of every frame ("anchor_distance", "residual", ...), NaN where there is none yet."""
+        """(F,) values of a quantity of every frame ("anchor_distance", "residual", ...); NaN for frames not tracked yet."""
         return np.array([np.nan if r is None or not r.tracked else getattr(r, name) for r in self.results], float)

@@ -29,9 +29,9 @@ from .session import Session
 from .sliders import TypedNumbers, ValueSlider, linear_steps
 from .turntable import Turntable
 
-#: The package's own price of an expression, mm.
+#: The package's default price of an expression, mm.
 SPARSITY = BlendshapeParameters().sparsity
-#: What drives the faces.
+#: Modes of driving the faces.
 SLIDERS, INITIAL, RESOLVED, CORRECTIVES = "sliders", "initial", "re-solved", "re-solved + correctives"
 #: One character by all three instead of all characters by one of them (the paper's figure 8).
 COMPARED = "compare on one"
@@ -121,7 +121,7 @@ class RetargetingStudy(Displayed):
             self.draw()
 
     def coefficients(self, index: int, mode: str | None = None) -> np.ndarray:
-        """(A,) what drives the characters at a frame, in the mode that is chosen or in another one."""
+        """(A,) coefficients that drive the characters at a frame, in the chosen mode or another one."""
         mode = mode or self.mode.value
         if mode == SLIDERS:
             return np.array([slider.value for slider in self.sliders.values()])
@@ -183,7 +183,7 @@ class RetargetingStudy(Displayed):
         return replace(self._self, triangles=triangles, colours=colours.astype(np.uint8)), vertices
 
     def draw(self) -> None:
-        """Everybody, and the chart."""
+        """Draw all faces and the chart."""
         self.view.value = encode(self.picture())
         k = self.names.index(self.expression.value)
         self.chart.update(self.player.index, **{INITIAL: self.initial[:, k], RESOLVED: self.resolved[:, k]})

@@ -73,7 +73,7 @@ def run_icp(
 
 
 def depth_points(frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius: float = 130.0, stride: int = 3) -> np.ndarray:
-    """(p, 3) measured points around the head, taken to the head frame of ``pose`` (4, 4), mm."""
+    """(p, 3) measured points around the head, mm, in the head frame given by ``pose`` (4, 4)."""
     v, u = np.mgrid[0 : frame.depth.shape[0] : stride, 0 : frame.depth.shape[1] : stride]
     depth = frame.depth[::stride, ::stride]
     pixels = np.stack([u[depth > 0], v[depth > 0]], axis=1).astype(float)

@@ -1,4 +1,4 @@
-"""What stays of a displayed view where no kernel runs: pictures of all that it shows, and heads that turn in pages.
+"""Save what a page shows of a view without a kernel: pictures of its content, and heads that can be turned.
 
 A view is displayed twice. The first output is the live widget. The second one is HTML that is hidden as long as the live
 widget is in the page: a picture of every head, chart and camera. Where scripts run, as in what ``jupyter nbconvert`` makes,
@@ -20,14 +20,14 @@ import ipywidgets as widgets
 from .heads import Heads
 from .pictures import encode
 
-#: The class of what is saved, and how a page knows it.
+#: CSS class by which a page recognises saved content.
 SAVED = "adaptiveface-saved"
 _VIEWER = Path(__file__).resolve().parents[1] / "assets" / "saved_heads.js"
 _NOTE = "As it was when the cell had run; run the cell to work with it."
 
 
 def install() -> None:
-    """From now on boxes of widgets are displayed by :func:`show`; outside IPython nothing happens."""
+    """Make IPython display boxes of widgets by :func:`show`. Outside IPython, this does nothing."""
     from IPython import get_ipython
 
     shell = get_ipython()
@@ -36,7 +36,7 @@ def install() -> None:
 
 
 def show(box: widgets.Box) -> None:
-    """Display a box of widgets, and what stays of it."""
+    """Display a box of widgets together with its saved form."""
     from IPython.display import HTML, display
 
     text = saved(box)
@@ -48,7 +48,7 @@ def show(box: widgets.Box) -> None:
 
 
 def saved(box: widgets.Widget) -> str:
-    """HTML of every head and picture in a tree of widgets; "" where there is none."""
+    """HTML of every head and picture in a tree of widgets; "" if there is none."""
     parts = [part for widget in _tree(box) for part in _part(widget)]
     if not parts:
         return ""
@@ -64,7 +64,7 @@ def _live(box: widgets.Widget) -> str:
 
 
 def _tree(widget: widgets.Widget) -> Iterator[widgets.Widget]:
-    """A widget and all that it holds, in their order; what is hidden is left out."""
+    """Yield a widget and all its descendants in order, without hidden ones."""
     if widget.layout is not None and widget.layout.display == "none":
         return
     yield widget

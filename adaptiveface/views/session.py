@@ -1,4 +1,4 @@
-"""What every notebook starts with: a short performance in memory and the personal rig of its performer.
+"""Load what every notebook starts with: a short performance in memory and the personal rig of its performer.
 
 ``load_session("synthetic")`` renders the embedded performer once and keeps frames and rig in the user's cache folder;
 ``load_session("path/to/a/recording")`` takes a recording or a video instead, and ``actor="actor.npz"`` a saved head.
@@ -113,7 +113,7 @@ class Session:
         return actor
 
     def make_tracker(self, actor: Actor, parameters: Parameters) -> Tracker:
-        """The tracker for these frames: of a video the one without depth."""
+        """The tracker for these frames, which for a video is the one without depth."""
         return make_tracker(actor, parameters, self.colour_only)
 
 
@@ -188,7 +188,7 @@ def _recorded(
 
 
 def _another(session: Session, actor: Actor) -> str:
-    """What is to be said of a head that is not the performer's, where that is known."""
+    """A note for a head that is known not to be the performer's."""
     truth = session.truth
     if truth is None or truth.neutral.shape != actor.neutral.shape:
         return ""
@@ -240,7 +240,7 @@ def _cached(path: Path, load: Callable[[Path], T]) -> T | None:
 
 @contextmanager
 def _not_cached() -> Iterator[None]:
-    """A cache that cannot be written is done without."""
+    """Continue without a cache if it cannot be written."""
     try:
         yield
     except (OSError, AdaptiveFaceError) as error:

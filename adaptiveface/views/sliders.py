@@ -16,7 +16,7 @@ import ipywidgets as widgets
 import numpy as np
 import traitlets
 
-#: About so many steps from one end of a linear slider to the other; per decade of a logarithmic one.
+#: Approximate number of steps of a linear slider, and per decade of a logarithmic one.
 LINEAR_STEPS, STEPS_PER_DECADE = 200, 10
 
 
@@ -102,7 +102,7 @@ def _labelled(numbers: Iterable[float]) -> list[tuple[str, float]]:
 
 
 def short(value) -> str:
-    """A value as people write it: six digits, more where it has them."""
+    """A readable value with six digits, or more if it has more."""
     if not isinstance(value, float):
         return str(value)
     return f"{value:g}" if float(f"{value:g}") == value else f"{value:.12g}"

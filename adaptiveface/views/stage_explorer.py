@@ -28,10 +28,10 @@ from .recorded import NAMED
 from .replay import MakeTracker, Replay
 from .session import Session
 
-#: While a performance plays, so many times a second one of the charts or the sensor's picture is redrawn, in turn: the face
-#: comes first.
+#: Rate at which the charts and the sensor's picture are redrawn in turn while a performance plays, per second. The face comes
+#: first.
 ASIDES_PER_SECOND = 12.0
-#: While it learns, so many frames at most from one picture to the next.
+#: Largest number of frames from one picture to the next while it learns.
 LEARNING_STEP = 2
 
 
@@ -161,7 +161,7 @@ class StageExplorer(Displayed):
         self.panel.set(**values)
 
     def learn_live(self) -> None:
-        """Forget everything, and track and learn every frame when the player comes to it."""
+        """Forget everything. Every frame is then tracked and learned when the player reaches it."""
         self.player.pause()
         self.replay.forget()
         self._live = True
@@ -196,7 +196,7 @@ class StageExplorer(Displayed):
             self._aside_due = time.perf_counter() + 1 / ASIDES_PER_SECOND
 
     def _show_aside(self, result: TrackedFrame, frame: RgbdFrame) -> None:
-        """The next of the charts and the sensor's picture."""
+        """Redraw the next one among the charts and the sensor's picture."""
         self._aside = (self._aside + 1) % (len(self.charts) + 1)
         if self._aside == len(self.charts):
             self._show_camera(result, frame)
@@ -217,7 +217,7 @@ class StageExplorer(Displayed):
         self.widget.close()
 
     async def settled(self) -> None:
-        """Wait until the background run has tracked every frame; raises its error."""
+        """Wait until the background run has tracked every frame, and raise its error if it failed."""
         await self.replay.finished()
 
     def _change(self, parameters: Parameters) -> None:
@@ -244,7 +244,7 @@ class StageExplorer(Displayed):
 
 
 def how_many(results: Sequence[TrackedFrame]) -> str:
-    """How many frames are tracked and why not more, in a line; "" where all of them are."""
+    """A line with the number of tracked frames and why others are not; "" if all are tracked."""
     lost = Counter(result.reason for result in results if not result.tracked)
     if not lost:
         return ""

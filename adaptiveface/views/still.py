@@ -1,4 +1,4 @@
-"""Still pictures of heads and clouds, drawn by the kernel: what stays of a view in a saved notebook."""
+"""Draw still pictures of heads and clouds in the kernel. A saved notebook shows them in place of a view."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..geometry.rendering import Light, heat_map, irradiance
 from ..insides import Insides, placed
 
 SKIN = (205.0, 170.0, 150.0)
-#: The camera stands so far before the middle of the face, and turns about a point so far behind it, mm: about the face
-#: itself, a profile's back of the head would leave the pane.
+#: Distance of the camera from the middle of the face, and depth behind it of the point about which the camera turns, mm. If
+#: it turned about the face itself, the back of the head in profile would leave the pane.
 DISTANCE, PIVOT_DEPTH = 700.0, 50.0
 
 
@@ -55,7 +55,7 @@ class Still:
         return (positions - self._pivot) @ self._axes.T + [0.0, 0.0, DISTANCE + PIVOT_DEPTH]
 
     def lit(self, colours: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(n, 3) uint8 colours in the light, which comes along with the camera."""
+        """(n, 3) uint8 colours under a light that moves with the camera."""
         up = np.array([0.0, 1.0, 0.0])
         light = Light(key_direction=tuple(0.6 * up + np.cross(up, self.away) * -0.5 + 0.5 * self.away))
         diffuse, specular = irradiance(normals, np.broadcast_to(self.away[None], normals.shape), light)

@@ -1,4 +1,4 @@
-"""For notebook 02: deformation transfer opened up. Correspondence, one triangle, the matrix, and what is not transferred."""
+"""Show deformation transfer for notebook 02: correspondence, one triangle, the matrix, and what is not transferred."""
 
 from __future__ import annotations
 

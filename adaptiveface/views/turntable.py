@@ -1,4 +1,4 @@
-"""A picture that mouse, pen and fingers turn: the kernel draws it, the browser only says where to look from."""
+"""Show a picture that is turned by mouse, pen or fingers. The kernel draws it, and the browser only sends the camera."""
 
 from __future__ import annotations
 
