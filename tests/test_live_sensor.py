@@ -212,7 +212,7 @@ def short_performance():
 
 
 def test_the_synthetic_sensor_is_paced_by_the_clock_and_skips_what_nobody_took(short_performance):
-    now, frames = [100.0], []
+    now, frames = [100.0], {}
     driver = SyntheticDriver(short_performance, frames, clock=lambda: now[0])
     driver.open()
     assert len(frames) == 5 and driver.grab(0).sequence == 0
@@ -224,8 +224,25 @@ def test_the_synthetic_sensor_is_paced_by_the_clock_and_skips_what_nobody_took(s
     assert [forth_and_back(i, 5) for i in range(10)] == [0, 1, 2, 3, 4, 3, 2, 1, 0, 1]
 
 
+def test_the_synthetic_sensor_opens_before_all_is_rendered(short_performance):
+    """Whoever starts it waits for the first frames only; the others are rendered when they are due, each once."""
+    now, frames = [100.0], {}
+    driver = SyntheticDriver(short_performance, frames, clock=lambda: now[0], ahead=2)
+    driver.open()
+    assert list(frames) == [0, 1]
+    now[0] += (3 + DEVICE_QUEUE) / 30 + 0.01
+    late = driver.grab(0)
+    assert late.sequence == 3 and list(frames) == [0, 1, 3]
+    assert np.array_equal(late.depth, short_performance.read(3).depth)
+    kept = frames[3]
+    again = SyntheticDriver(short_performance, frames, clock=lambda: now[0], ahead=2)
+    again.open()
+    now[0] += (3 + DEVICE_QUEUE) / 30 + 0.01
+    assert again.grab(0).sequence == 3 and frames[3] is kept
+
+
 def test_the_live_synthetic_sensor_streams_through_its_thread(short_performance):
-    frames = []
+    frames = {}
     with LiveSensor(lambda: SyntheticDriver(short_performance, frames), max_age=60) as sensor:
         got = [sensor.read(30) for _ in range(4)]
     assert (np.diff([f.sequence for f in got]) > 0).all() and (np.diff([f.device_timestamp for f in got]) > 0).all()

@@ -61,7 +61,7 @@ def live_scene(make_driver=SyntheticDriver, frames: int = EXPRESSION_FRAMES) -> 
     The rig knows its appearance, as after a neutral scan, so that its features are refined.
     """
     source = SyntheticSensor(SEED, "structured-light", min(NEUTRAL_FRAMES, frames), frames, repeats=1)
-    rendered: list = []
+    rendered: dict = {}
     sensor = LiveSensor(lambda: make_driver(source, rendered), open_timeout=600.0)
     actor = build_actor(source.performer.model, source.performer.neutral)
     views = ((source.read(index), source.ground_truth(index).head_pose) for index in range(0, source.neutral_frames, 4))

@@ -61,16 +61,24 @@ class PlaybackDriver(Driver):
 class SyntheticDriver(Driver):
     """The synthetic sensor in real time: 30 frames per second with 2D features, without end.
 
-    The frames are rendered in :meth:`open` (some seconds) and then played back and forth, so that the head never jumps.
+    The frames are played back and forth, so that the head never jumps. The first ``ahead`` of them are rendered in
+    :meth:`open`, without it all (some seconds), and each of the others when it is due for the first time.
     Like a camera, it does not wait: a reader that polls too late misses frames (``DEVICE_QUEUE``).
-    The list ``frames`` keeps the rendered frames for the next driver. ``clock`` returns seconds.
+    The dictionary ``frames`` keeps the rendered frames for the next driver. ``clock`` returns seconds.
     """
 
     has_features, open_timeout, unconnected = True, 180.0, "ready"
     description = "a synthetic performer at 30 frames a second, no hardware"
 
-    def __init__(self, source, frames: list[RgbdFrame], clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(
+        self,
+        source,
+        frames: dict[int, RgbdFrame],
+        clock: Callable[[], float] = time.perf_counter,
+        ahead: int | None = None,
+    ) -> None:
         self.source, self._frames, self._clock = source, frames, clock
+        self._ahead = len(source) if ahead is None else ahead
         self.name, self.depth_scale = source.name, source.depth_scale
 
     @classmethod
@@ -81,13 +89,19 @@ class SyntheticDriver(Driver):
 
         seed, noise, look = parse_performer(argument)
         source = SyntheticSensor(seed or 0, noise or NOISES[0], NEUTRAL_FRAMES, EXPRESSION_FRAMES, repeats=1, look=look)
-        frames: list[RgbdFrame] = []
-        return lambda: cls(source, frames)
+        frames: dict[int, RgbdFrame] = {}
+        return lambda: cls(source, frames, ahead=NEUTRAL_FRAMES)
 
     def open(self) -> None:
-        """Render the performance, unless an earlier driver did."""
-        self._frames.extend(self.source.read(i) for i in range(len(self._frames), len(self.source)))
+        """Render the first frames, unless an earlier driver did."""
+        for index in range(self._ahead):
+            self._frame(index)
         self._start, self._next = self._clock(), 0
+
+    def _frame(self, index: int) -> RgbdFrame:
+        if index not in self._frames:
+            self._frames[index] = self.source.read(index)
+        return self._frames[index]
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The frame that is due now; waits up to ``timeout`` s for it."""
@@ -99,7 +113,7 @@ class SyntheticDriver(Driver):
             time.sleep(wait)
         sequence = max(self._next, int((self._clock() - self._start) * self.fps) - DEVICE_QUEUE)
         self._next = sequence + 1
-        return raw_frame(self._frames[forth_and_back(sequence, len(self._frames))], sequence, sequence / self.fps)
+        return raw_frame(self._frame(forth_and_back(sequence, len(self.source))), sequence, sequence / self.fps)
 
     def close(self) -> None:
         """Nothing to release; the rendered frames stay for the next driver."""
