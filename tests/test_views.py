@@ -762,7 +762,7 @@ def test_error_in_the_hole_counts_what_lost_its_depth(session):
 def test_incremental_correctives_lie_near_the_batch_pca(session):
     replay = views.Replay(session.frames * 3, session.actor, Parameters().set(adaptive_pca__K=2, adaptive_pca__valid_min=0.01))
     replay.run()
-    samples = pca_study.SampleRows()(replay, 35)
+    samples = replay.model_after(35).buffer()
     assert len(samples) > 20
     assert pca_study.angle_to_batch(replay.tracker.model, samples) < 8.0
     assert np.isnan(pca_study.angle_to_batch(FaceTracker(session.actor).model, samples))

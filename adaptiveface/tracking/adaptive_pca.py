@@ -235,6 +235,10 @@ class AdaptiveModel:
         order = np.argsort(self.ages[: self.count])
         return self._samples[order] + self._sample_anchors[order].astype(np.float32) @ self._anchor_rows
 
+    def buffer(self) -> np.ndarray:
+        """(count, 3n) S^T, the samples in the buffer without their part in the anchor space, in no order; not a copy."""
+        return self._samples[: self.count]
+
     def learn_all(self, displacements: np.ndarray) -> None:
         """Start over from displacements (m, 3n): the correctives to which EM on the valid ones that are kept converges."""
         self.reset()

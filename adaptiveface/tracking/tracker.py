@@ -311,7 +311,10 @@ class FaceTracker(Tracker):
         return self.deformation.deform(matches, matches.normals @ pose[:3, :3], term, start, p.cg_iterations)
 
     def _learn(self, parts: Parts, coverage: float, occluded: float, late: bool) -> SampleState:
-        """v2 as a training sample; v1 - b0 lies in the anchor space, so that only v2 - v1 has a part outside it.
+        """v2 - v1 as a training sample.
+
+        While the blendshapes are the transferred ones, v1 - b0 lies in the anchor space, and v2 - b0 is the same sample. What
+        personal blendshapes add to v1 is theirs to explain.
 
         ``late``: colours, and the features found in them, are of another moment than the depth.
         """

@@ -54,7 +54,7 @@ class CorrectiveView:
         self.widget = widgets.HBox([heads, self.values.widget], layout=row)
         self._last: tuple | None = None
         self._wanted: tuple[Replay, int] | None = None
-        self._task, self._rows = BackgroundTask(), SampleRows()
+        self._task = BackgroundTask()
         self.amount.observe(on_main_thread(lambda _: self._wanted and self._draw(*self._wanted)), "value")
 
     def update(self, replay: Replay, index: int) -> None:
@@ -83,7 +83,7 @@ class CorrectiveView:
                 heat[frontal] = (shape * self._normals[frontal]).sum(axis=1)
             self.view.show(k, vertices, heat)
         self.view.refresh()
-        values = singular_values(model, self._rows(replay, index))[: self._most]
+        values = singular_values(model)[: self._most]
         self.values.update(np.pad(values, (0, self._most - len(values))))
 
     def close(self) -> None:
@@ -162,51 +162,23 @@ def energy_chart(session: Session) -> tuple[EnergyChart, ChartSource]:
     return chart, source
 
 
-def learned_displacements(replay: Replay, last: int) -> np.ndarray:
-    """(s, 3n) displacements v2 - v1, mm, of the newest S frames that were learned up to frame ``last``."""
-    frontal = np.flatnonzero(replay.actor.frontal)
-    used = [r for r in replay.results[: last + 1] if r is not None and r.sample_state == SampleState.LEARNED]
-    moved = [(r.v2[frontal] - r.v1[frontal]).ravel() for r in used[-replay.parameters.adaptive_pca.S :]]
-    return np.array(moved).reshape(-1, 3 * len(frontal))
-
-
-class SampleRows:
-    """Learned samples, v2 - v1 without its part in the anchor space, in single precision. Each is computed only once."""
-
-    def __init__(self) -> None:
-        self._known: dict[int, tuple[TrackedFrame, np.ndarray, np.ndarray]] = {}
-
-    def __call__(self, replay: Replay, last: int) -> np.ndarray:
-        """(s, 3n) samples, mm: the newest S that were learned up to frame ``last``."""
-        anchors, frontal = replay.tracker.model.anchors, replay.actor.frontal
-        tracked = ((k, r) for k, r in enumerate(replay.results[: last + 1]) if r is not None)
-        learned = [(k, r) for k, r in tracked if r.sample_state == SampleState.LEARNED]
-        rows = [self._row(k, r, anchors, frontal) for k, r in learned[-replay.parameters.adaptive_pca.S :]]
-        return np.array(rows, np.float32).reshape(-1, len(anchors))
-
-    def _row(self, index: int, result: TrackedFrame, anchors: np.ndarray, frontal: np.ndarray) -> np.ndarray:
-        known = self._known.get(index)
-        if known is None or known[0] is not result or known[1] is not anchors:
-            moved = (result.v2 - result.v1)[frontal].ravel()
-            known = (result, anchors, (moved - anchors @ (anchors.T @ moved)).astype(np.float32))
-            self._known[index] = known
-        return known[2]
-
-
-def singular_values(model: AdaptiveModel, samples: np.ndarray) -> np.ndarray:
-    """(k,) singular values of ``samples`` (s, 3n) within the k correctives, as the rms displacement of a vertex in mm."""
+def singular_values(model: AdaptiveModel) -> np.ndarray:
+    """(k,) singular values of the buffer's samples within the k correctives, as the rms displacement of a vertex in mm."""
+    samples = model.buffer()
     if len(samples) == 0 or model.correctives.shape[1] == 0:
         return np.zeros(0)
     values = np.linalg.svd(samples @ model.correctives, compute_uv=False)
     return values / np.sqrt(samples.size / 3)
 
 
-def angle_to_batch(model: AdaptiveModel, samples: np.ndarray) -> float:
+def angle_to_batch(model: AdaptiveModel, samples: np.ndarray | None = None) -> float:
     """Mean principal angle, degrees, between the k correctives and the k leading directions of a batch PCA.
 
-    Batch: a singular value decomposition of all ``samples`` (s, 3n) at once, through the origin as in section 5. It is taken
-    from their products (s, s), and the cosines of the angles from products with the correctives: both are small matrices.
+    Batch: a singular value decomposition of all ``samples`` (s, 3n) at once, by default those of the model's buffer, through
+    the origin as in section 5. It is taken from their products (s, s), and the cosines of the angles from products with the
+    correctives: both are small matrices.
     """
+    samples = model.buffer() if samples is None else samples
     k = model.correctives.shape[1]
     if k == 0 or len(samples) <= k:
         return float("nan")
@@ -230,7 +202,6 @@ def angle_chart(session: Session, every: int = 10):
         "mean angle to batch PCA",
     )
     known: dict[int, tuple[object, float]] = {}
-    rows = SampleRows()
 
     def source(replay: Replay):
         """The curve up to the newest frame of the replay."""
@@ -238,7 +209,7 @@ def angle_chart(session: Session, every: int = 10):
         for index in range(every - 1, replay.done, every):
             result = replay.results[index]
             if index not in known or known[index][0] is not result:
-                known[index] = (result, angle_to_batch(replay.model_after(index), rows(replay, index)))
+                known[index] = (result, angle_to_batch(replay.model_after(index)))
             values[index] = known[index][1]
         seen = np.flatnonzero(np.isfinite(values))
         return {"angle": (seen, values[seen])}
