@@ -788,6 +788,15 @@ def test_fit_problem_bounded_beats_clipped(session):
     assert problem.energy(problem.unbounded()) <= problem.energy(bounded) < problem.energy(problem.clipped())
     assert bounded.min() >= 0 and bounded.max() <= 1
     assert bounded[0] == pytest.approx(0.6, abs=0.15), "the jaw that the frame was rendered with"
+    other = dataclasses.replace(result, v1=result.v1 + 1.0)  # no b0 + B x of the actor, as with personal blendshapes
+    again = fit_study.fit_problem(session.actor, session.frames[10], other, Parameters.paper().blendshapes)
+    np.testing.assert_array_equal(again.g, problem.g)
+
+
+def test_bars_of_the_solutions_are_kept_by_saved_notebooks():
+    bars = fit_study.coefficient_bars(["jawOpen", "mouthPucker"], {"clipped": np.array([0.2, 1.0])}, "frame 3")
+    data, metadata = bars._repr_mimebundle_()
+    assert data["image/png"] and "clipped" in metadata["image/png"]["alt"]
 
 
 def test_jitter_and_lag():

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import ipywidgets as widgets
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ..geometry.frame import RgbdFrame
@@ -21,8 +19,7 @@ from ..tracking.feature_rows import feature_rows
 from ..tracking.kalman import CoefficientFilter
 from ..tracking.types import TrackedFrame
 from .charts import COLOURS, LiveChart
-from .figures import INK, inked, pixels
-from .pictures import encode, image_widget
+from .figures import INK, inked, picture
 from .replay import Replay
 from .session import Session
 
@@ -52,13 +49,16 @@ class FitProblem:
 
 
 def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters: BlendshapeParameters) -> FitProblem:
-    """The last linear system of a frame's fit: rows of eqs. (1) and (2) at the pose and shape of ``result``.
+    """The last linear system of a frame's fit: rows of eqs. (1) and (2) at the pose and coefficients of ``result``.
 
     Written for reading, without the robust weights and the joint pose of ``tracking/expression.py``.
     """
     keep = actor.frontal & actor.depth_valid
     rotation = result.head_pose[:3, :3]
-    in_camera = result.in_camera(result.v1)
+    x = result.coefficients_initial
+    # The rows are those of the actor's own basis: with personal blendshapes, v1 is another shape.
+    moved = np.tensordot(x, actor.blendshapes[: len(x)], axes=1)
+    in_camera = result.in_camera(actor.neutral + moved)
     window = crop_window(frame.camera, frame.camera.project(in_camera[keep]), 20.0)
     surface = depth_surface(frame.depth, frame.camera, window, DepthParameters())
     normals = vertex_normals(in_camera, actor.triangles)
@@ -68,8 +68,7 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
     planes = matches.normals[used] @ rotation
     basis = actor.blendshapes[:, keep][:, used]
     depth_rows = np.einsum("nd,and->na", planes, basis)
-    now = np.tensordot(result.coefficients_initial, actor.blendshapes[: len(result.coefficients_initial)], axes=1)[keep][used]
-    depth_right = np.einsum("nd,nd->n", planes, now) - matches.distances[used]
+    depth_right = np.einsum("nd,nd->n", planes, moved[keep][used]) - matches.distances[used]
     # Eq. (2): [1 0 -u; 0 1 -v] P (R (f0 + F x) + t) for every feature seen.
     rows = feature_rows(frame.features, frame.camera, result.head_pose)
     corners, shares = actor.feature_triangles[rows.index], actor.feature_weights[rows.index]
@@ -83,10 +82,10 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
 
 
 @inked()
-def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], title: str = "") -> widgets.Image:
-    """Bars per expression and solution, with the allowed range [0, 1] in grey."""
+def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], title: str = ""):
+    """Bars per expression and solution, with the allowed range [0, 1] in grey, as a PNG that saved notebooks keep."""
     figure = Figure(figsize=(9.2, 3.6), dpi=100, layout="constrained")
-    canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
+    axis = figure.add_subplot()
     axis.axhspan(0, 1, color=INK, alpha=0.2, lw=0, zorder=0)
     width = 0.8 / len(solutions)
     for k, (name, x) in enumerate(solutions.items()):
@@ -95,10 +94,7 @@ def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], tit
     axis.set_ylabel("coefficient (grey: allowed)", fontsize=9)
     axis.set_title(title, fontsize=9)
     axis.legend(fontsize=8)
-    canvas.draw()
-    image = image_widget(920, 360, "png")
-    image.value = encode(pixels(canvas), "png")
-    return image
+    return picture(figure, f"coefficients of the solutions {', '.join(solutions)}, and the allowed range from 0 to 1", dpi=100)
 
 
 def coefficient_chart(session: Session, chosen: Sequence[int]):
