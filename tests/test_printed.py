@@ -273,7 +273,7 @@ def test_kalman_as_printed_is_the_textbook_filter():
 def test_the_full_buffer_start_is_qr_of_the_first_k_samples_and_then_em(actor):
     """Section 5 on the whole matrices: anchors by SVD, M_K by QR, nothing until the buffer is full, then two EM steps."""
     k, size = 7, 12
-    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=k, S=size, startup="full-buffer"))
+    model = AdaptiveModel(actor, actor.blendshapes, AdaptivePcaParameters(K=k, S=size, startup="full-buffer", buffer="newest"))
     n = int(actor.frontal.sum())
     left = np.linalg.svd(actor.blendshapes[:, actor.frontal].reshape(len(actor.blendshapes), -1).T, full_matrices=False)[0]
     rng = np.random.default_rng(2)
