@@ -11,6 +11,7 @@ import re
 import threading
 import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -274,6 +275,24 @@ def test_a_displayed_view_leaves_its_pictures_and_a_head_that_turns(session):
     assert positions == bench.view._image.frame[1]["positions"] and sent["state"]["titles"] == list(bench.view.titles)
     assert saved.saved(widgets.VBox([widgets.IntSlider()])) == "", "boxes of other people stay as they are"
     bench.close()
+
+
+def test_the_window_of_a_plotter_leaves_its_picture(monkeypatch):
+    """pyvista's window is a frame of the kernel's own page: where no kernel runs, only this picture can be seen."""
+    image = np.zeros((40, 60, 3), np.uint8)
+    image[:, :30] = (200, 30, 90)
+    shown: list = []
+    monkeypatch.setattr("IPython.display.display", lambda what, raw=False: shown.append(what))
+    window = widgets.HTML("<iframe src='http://localhost:1'></iframe>")
+    window.viewer = SimpleNamespace(plotter=SimpleNamespace(screenshot=lambda return_img: image))
+    saved.show_window(window)
+    assert "application/vnd.jupyter.widget-view+json" in shown[0]
+    picture = re.search(r"data:image/png;base64,([A-Za-z0-9+/=]+)", shown[1].data)[1]
+    got = cv2.imdecode(np.frombuffer(base64.b64decode(picture), np.uint8), cv2.IMREAD_COLOR)
+    assert np.array_equal(got[..., ::-1], image)
+    assert any(name in shown[1].data for name in window._dom_classes), "it is hidden where the window is alive"
+    saved.show_window(widgets.HTML("text of other people"))
+    assert len(shown) == 3, "text stays as it is"
 
 
 def test_points_appear_where_they_are(session):

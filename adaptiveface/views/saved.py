@@ -3,7 +3,8 @@
 A view is displayed twice. The first output is the live widget. The second one is HTML that is hidden as long as the live
 widget is in the page: a picture of every head, chart and camera. Where scripts run, as in what ``jupyter nbconvert`` makes,
 the page draws the heads itself, and the mouse turns them. JupyterLab says "Error displaying widget" for widgets of a kernel
-that has ended; the pictures then stand below.
+that has ended; the pictures then stand below. pyvista's windows, which are frames of the kernel's own pages, get a picture
+as well.
 """
 
 from __future__ import annotations
@@ -27,12 +28,16 @@ _NOTE = "As it was when the cell had run; run the cell to work with it."
 
 
 def install() -> None:
-    """Make IPython display boxes of widgets by :func:`show`. Outside IPython, this does nothing."""
+    """Make IPython display boxes of widgets by :func:`show`, and pyvista's windows by :func:`show_window`.
+
+    Outside IPython, this does nothing.
+    """
     from IPython import get_ipython
 
     shell = get_ipython()
     if shell is not None:
         shell.display_formatter.ipython_display_formatter.for_type(widgets.Box, show)
+        shell.display_formatter.ipython_display_formatter.for_type(widgets.HTML, show_window)
 
 
 def show(box: widgets.Box) -> None:
@@ -47,6 +52,20 @@ def show(box: widgets.Box) -> None:
         display(HTML(text))
 
 
+def show_window(frame: widgets.HTML) -> None:
+    """Display a text widget; of pyvista's, which frames the window of a plotter, with a picture of that window."""
+    from IPython.display import HTML, display
+
+    plotter = getattr(getattr(frame, "viewer", None), "plotter", None)
+    if plotter is not None:
+        frame.add_class(_live(frame))
+    display(frame._repr_mimebundle_(), raw=True)
+    if plotter is not None:
+        picture = _picture(encode(plotter.screenshot(return_img=True), "png"), "png", "pyvista's window")
+        # A page that nbconvert made has the frame, too, but nothing answers there.
+        display(HTML(_kept(frame, f"<div>{picture}</div>", f"#main .{_live(frame)}")))
+
+
 def saved(box: widgets.Widget) -> str:
     """HTML of every head and picture in a tree of widgets; "" if there is none."""
     parts = [part for widget in _tree(box) for part in _part(widget)]
@@ -54,9 +73,14 @@ def saved(box: widgets.Widget) -> str:
         return ""
     heads = any("<script" in part for part in parts)
     script = f"<script>{_VIEWER.read_text(encoding='utf-8')}</script>" if heads else ""
-    rule = f"<style>body:has(.{_live(box)}) .{SAVED}-{box.model_id} {{display: none}}</style>"
     row = f"<div style='display:flex;flex-wrap:wrap;gap:8px;align-items:flex-start'>{''.join(parts)}</div>"
-    return f"{rule}<div class='{SAVED} {SAVED}-{box.model_id}'>{row}<small>{_NOTE}</small>{script}</div>"
+    return _kept(box, row, f".{_live(box)}", script)
+
+
+def _kept(widget: widgets.Widget, content: str, live: str, script: str = "") -> str:
+    """HTML of what was kept of a widget, which a page with an element ``live`` (a CSS selector) hides."""
+    rule = f"<style>body:has({live}) .{SAVED}-{widget.model_id} {{display: none}}</style>"
+    return f"{rule}<div class='{SAVED} {SAVED}-{widget.model_id}'>{content}<small>{_NOTE}</small>{script}</div>"
 
 
 def _live(box: widgets.Widget) -> str:

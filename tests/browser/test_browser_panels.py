@@ -64,11 +64,21 @@ panel = ParameterPanel(list(dict.fromkeys(row["stage"] for row in describe())), 
 panel.widget
 """
 
+#: A window of pyvista, which is a frame of a page that the kernel serves.
+WINDOW = """
+from adaptiveface import views
+import pyvista as pv
+plotter = pv.Plotter(window_size=(300, 200))
+plotter.add_mesh(pv.Sphere())
+plotter.show()
+"""
+
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab")
     nbformat.write(lab.notebook_of(EVERYTHING), folder / "everything.ipynb")
+    nbformat.write(lab.notebook_of(WINDOW), folder / "window.ipynb")
     quick = {"ADAPTIVEFACE_NOTEBOOK_FAST": "1", "ADAPTIVEFACE_SENSOR": "synthetic"}
     with lab.jupyter_lab(folder, NOTEBOOKS, **quick) as address:
         yield address
@@ -185,3 +195,15 @@ def test_a_number_is_typed_and_a_contradiction_is_refused(everything):
     page.wait_for_timeout(300)
     assert lab.run_code(page, "print(repr(panel.parameters) == repr(Parameters()))") == "True\n"
     assert page.problems == []
+
+
+@pytest.mark.slow
+def test_a_living_window_hides_its_picture(page, address):
+    """The picture of pyvista's window is for pages without a kernel; both are in the notebook's output."""
+    lab.open_notebook(page, address, "window.ipynb")
+    lab.run_cells(page, 0)
+    page.locator("iframe.pyvista").wait_for(timeout=60_000)
+    picture = page.locator('img[alt="pyvista\'s window"]')
+    picture.wait_for(state="attached", timeout=60_000)
+    assert not picture.is_visible()
+    lab.shut_down(page)
