@@ -485,7 +485,7 @@ def test_vmc_and_osc_messages(scene):
     assert messages[0] == ("/VMC/Ext/OK", [1]) and messages[-1] == ("/VMC/Ext/Blend/Apply", [])
     values = {m[1][0]: m[1][1] for m in messages if m[0] == "/VMC/Ext/Blend/Val"}
     assert set(values) >= {name[0].upper() + name[1:] for name in ARKIT_NAMES}
-    truth = retarget(result, actor=actor).curves[frame]
+    truth = retarget(result).curves[frame]
     got = [values[name[0].upper() + name[1:]] for name in ARKIT_NAMES]
     np.testing.assert_allclose(got, truth, atol=1e-4)
     turns = {m[1][0]: m[1][4:] for m in messages if m[0] == "/VMC/Ext/Bone/Pos"}

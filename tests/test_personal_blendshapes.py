@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
 
+from adaptiveface.errors import FileFormatError
+from adaptiveface.export.animation import actor_animation
 from adaptiveface.model.actor import Actor
 from adaptiveface.parameters import Parameters, PersonalBlendshapesParameters
+from adaptiveface.result import Result
+from adaptiveface.retargeting.retarget import driving_coefficients
 from adaptiveface.tracking.personal_blendshapes import PersonalBlendshapes
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import SampleState
+from adaptiveface.views.replay import Replay
 
 ON = Parameters().replace(
     personal_blendshapes__on=True, personal_blendshapes__interval=5, personal_blendshapes__noise=2.0, adaptive_pca__K=0
@@ -141,7 +146,8 @@ def test_the_neutral_stays_what_it_is(actor, tracker):
     np.testing.assert_array_equal(tracker.blendshapes.shape(zero), actor.neutral)
     np.testing.assert_array_equal(tracker.personal_actor().neutral, actor.neutral)
     np.testing.assert_array_equal(
-        tracker.blendshapes.basis[:, ~actor.frontal], actor.blendshapes[: len(zero)][:, ~actor.frontal]
+        tracker.blendshapes.basis[:, ~actor.frontal],
+        actor.blendshapes[: len(zero)][:, ~actor.frontal].astype(np.float32),
     )
 
 
@@ -197,3 +203,68 @@ def test_the_paper_goes_without(actor, performance):
     tracker = FaceTracker(actor, Parameters.paper())
     tracker.track(performance[1][0])
     assert tracker.personal is None and tracker.blendshapes is tracker.transferred
+
+
+def test_results_hold_the_expressions_that_their_coefficients_mean(actor, tracker, performance, tmp_path):
+    """Mesh and coefficients of a saved result belong together: exports, reports and retargeting build on that."""
+    again, frames = tracker.copy(), performance[1][:4]
+    tracked = [again.track(frame) for frame in frames]
+    result = Result.of_frames(tracked, actor, ON, again.model.correctives, again.expressions, keep_stages=True)
+    result.save(tmp_path / "result.npz")
+    loaded = Result.load(tmp_path / "result.npz")
+    rig = loaded.rig(actor)
+    np.testing.assert_allclose(rig.blendshapes[:23], again.blendshapes.basis, atol=1e-4)
+    np.testing.assert_array_equal(rig.blendshapes[23:], actor.blendshapes[23:])
+    for index, frame in enumerate(tracked):
+        v1 = posed_shape(rig, np.append(frame.coefficients_initial, np.zeros(len(actor.blendshapes) - 23)))
+        np.testing.assert_allclose(v1, frame.v1, atol=1e-3)
+        np.testing.assert_allclose(frame.in_camera(v1), loaded.v1[index], atol=1e-3)
+    resolved = driving_coefficients(loaded, "resolved", actor)
+    np.testing.assert_allclose(resolved, loaded.coefficients, atol=2e-3)
+    mesh = actor_animation(loaded, actor)
+    names = list(mesh.target_names)
+    np.testing.assert_allclose(mesh.targets[names.index("jawOpen")], rig.blendshapes[names.index("jawOpen")], atol=1e-4)
+
+
+def test_a_result_without_learned_expressions_goes_with_the_actors(actor, performance):
+    off = FaceTracker(actor, ON.replace(personal_blendshapes__on=False))
+    result = Result.of_frames([off.track(performance[1][0])], actor, off.parameters, None, off.expressions)
+    assert off.expressions is None and result.expressions is None and result.rig(actor) is actor
+    stranger = replace(actor, expression_names=tuple(f"other {k}" for k in range(len(actor.expression_names))))
+    with pytest.raises(FileFormatError, match="lacks the expressions jawOpen"):
+        result.rig(stranger)
+    with pytest.raises(FileFormatError, match="different meshes"):
+        result.rig(replace(actor, triangles=actor.triangles[:, [1, 2, 0]]))
+
+
+def test_trackers_of_the_past_fit_with_the_expressions_of_then(actor, performance):
+    """Previews of an early frame must not use what was learned later; kept meshes cost no more for it."""
+    frames = performance[1][:24]
+    replay = Replay(frames, actor, ON)
+    replay.run()
+    plain, wanted = FaceTracker(actor, ON), []
+    for frame in frames:
+        wanted.append(plain.blendshapes.basis)
+        plain.track(frame)
+    assert plain.personal.updates >= 3
+    for index in (1, 9, 17, 23):
+        before = replay._history.before(index)
+        np.testing.assert_allclose(before.blendshapes.basis, wanted[index], atol=1e-5)
+        assert before.personal is None or before.personal._moments.nbytes == 0
+        v1 = replay._keeper.meshes(replay.results[index])[0]
+        np.testing.assert_array_equal(v1, replay.results[index].v1)
+        assert replay.results[index]._parts[0][1].nbytes == 0, "v1 is made of coefficients and expressions"
+    softer = ON.replace(laplacian__final_w2=50.0)
+    exact = replay.preview(softer, 9)
+    replay.preview(softer, 23)
+    replay.parameters = softer
+    np.testing.assert_allclose(replay._quick_preview(9).v4, exact.v4, atol=1e-6)
+
+
+def test_forgetting_what_was_learned_forgets_the_expressions_and_not_the_head(tracker, performance):
+    other = tracker.copy()
+    pose = other.pose
+    other.forget_learned()
+    assert other.model.count == 0 and other.expressions is None and np.array_equal(other.pose, pose)
+    assert tracker.expressions is not None, "the tracker that was copied keeps them"
+    assert other.track(performance[1][0]).tracked

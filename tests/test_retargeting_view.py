@@ -31,6 +31,17 @@ def study() -> RetargetingStudy:
     return RetargetingStudy(session, views.Replay(frames, actor).run(), ("hag",), pane=120)
 
 
+def test_learned_expressions_are_what_the_coefficients_mean(study):
+    """With expressions twice as large, half the coefficients make the same mesh."""
+    twice = 2.0 * study.actor.blendshapes[: len(study.names)]
+    session = Session("jaw", None, [], [], _actor=study.actor)
+    other = RetargetingStudy(session, study.results, ("hag",), pane=120, expressions=twice)
+    jaw = study.names.index("jawOpen")
+    assert other.resolved[4, jaw] == pytest.approx(0.5 * study.resolved[4, jaw], abs=0.02)
+    other.sliders["jawOpen"].value = 0.5
+    np.testing.assert_allclose(other.shapes(0)[0] - study.actor.neutral, 0.5 * twice[jaw], atol=1e-4)
+
+
 def mouth(study, index: int) -> float:
     """Opening of the hag's mouth, mm: inner lips in the middle."""
     character = study.characters[0]

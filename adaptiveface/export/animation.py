@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import FileFormatError
 from ..geometry.mesh import transform_points, vertex_normals
 from ..model.actor import Actor
 from ..renamed import renamed
@@ -232,13 +231,10 @@ def in_slider_range(mesh: AnimatedMesh) -> AnimatedMesh:
 
 
 def _rig(result: Result, actor: Actor):
-    if not np.array_equal(actor.triangles, result.triangles):
-        raise FileFormatError("actor.npz and result.npz have different meshes: they do not belong together")
-    rows = [actor.expression_names.index(n) for n in result.expression_names if n in actor.expression_names]
-    if len(rows) != len(result.expression_names):
-        raise FileFormatError("result.npz has expressions that actor.npz lacks: they do not belong together")
+    rig = result.rig(actor)
+    rows = [rig.expression_names.index(name) for name in result.expression_names]
     coefficients = np.clip(result.coefficients.astype(float), 0.0, 1.0)  # the residual takes what lies outside
-    return list(result.expression_names), actor.neutral, actor.blendshapes[rows], coefficients
+    return list(result.expression_names), rig.neutral, rig.blendshapes[rows], coefficients
 
 
 def _without(result: Result, neutral: np.ndarray, targets: np.ndarray, weights: np.ndarray) -> Meshes:

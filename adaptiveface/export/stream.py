@@ -18,7 +18,6 @@ from ..parameters import BlendshapeParameters
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.arkit_resolve import ArkitResolve
 from ..retargeting.smoothing import Smoothing
-from ..tracking.resolve import SparseResolve
 from ..tracking.types import TrackedFrame
 from .animation import METRES, view_motion
 from .messages import FaceState, Message, VmcAvatar, osc_messages, vmc_messages
@@ -51,12 +50,12 @@ def _bracketed(text: str) -> tuple[str, str, str]:
 
 
 class Streamer:
-    """Sends every tracked frame to receivers: the coefficients re-solved from v4, and the head's motion.
+    """Sends every tracked frame to receivers: the coefficients that the tracker re-solved from v4, and the head's motion.
 
     ``actor`` is the tracked rig, of which the first ``count`` expressions are tracked. ``smoothing`` filters the curves.
-    ``parameters`` are those of the tracker, or the defaults. With ``halves``, the coefficients are those of ARKit's shapes with
-    their left and right halves (:class:`~adaptiveface.retargeting.arkit_resolve.ArkitResolve`) instead of the tracked
-    expressions. The :class:`Sender` decides where the frames go, and in which form.
+    With ``halves``, the coefficients are those of ARKit's shapes with their left and right halves, and not those of the tracked
+    expressions (:class:`~adaptiveface.retargeting.arkit_resolve.ArkitResolve`, with ``parameters`` or the defaults). The
+    :class:`Sender` decides where the frames go, and in which form.
     """
 
     def __init__(
@@ -71,10 +70,8 @@ class Streamer:
         parameters: BlendshapeParameters | None = None,
         halves: bool = False,
     ) -> None:
-        names, parameters = actor.expression_names[:count], parameters or BlendshapeParameters()
-        self._weights = arkit_weights(names)
-        self._resolve = SparseResolve.of(actor, names, parameters)
-        self._halves = ArkitResolve(actor, parameters) if halves else None
+        self._weights = arkit_weights(actor.expression_names[:count])
+        self._halves = ArkitResolve(actor, parameters or BlendshapeParameters()) if halves else None
         self.unknown = () if halves else self._weights.unknown
         self._smoothing, self._state, self._before = smoothing, None, None
         self._start: np.ndarray | None = None
@@ -113,7 +110,7 @@ class Streamer:
         if self._halves is not None:
             curves = self._solved = self._halves(frame.v4, self._solved)
         else:
-            curves = self._weights.curves(self._resolve(frame.v4, frame.coefficients)[None])[0]
+            curves = self._weights.curves(frame.coefficients[None])[0]
         if self._smoothing is not None:
             dt = 1 / 30 if self._before is None else frame.timestamp - self._before
             curves, self._state = self._smoothing.step(curves, dt, self._state)

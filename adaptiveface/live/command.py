@@ -207,7 +207,7 @@ class _Headless:
             return
         summary = ""
         if self._builder.done:
-            result = self._gaze.onto(self._builder.finish(session.model.correctives))
+            result = self._gaze.onto(self._builder.finish(session.model.correctives, session.expressions))
             result.save(self.args.out)
             summary = result.summary()
             del result  # it holds the files that are discarded

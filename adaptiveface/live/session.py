@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError, TrackingError
 from ..model.actor import Actor
 from ..parameters import Parameters
@@ -102,7 +104,7 @@ class LiveSession:
         return self._frozen
 
     def reset_correctives(self) -> None:
-        """Forget every corrective before the next frame; the head is not lost."""
+        """Forget the correctives and the personal blendshapes before the next frame; the head is not lost."""
         with self._changed:
             self._forget_learned = True
 
@@ -120,6 +122,11 @@ class LiveSession:
     def model(self) -> AdaptiveModel:
         """The adaptive model, to be read only: its arrays are replaced, never written to, while tracking goes on."""
         return self._tracker.model
+
+    @property
+    def expressions(self) -> np.ndarray | None:
+        """(A, N, 3) the expressions as they are known now, mm; None while they are those of the actor. To be read only."""
+        return self._tracker.expressions
 
     @property
     def statistics(self) -> LiveStatistics:
@@ -199,7 +206,7 @@ class LiveSession:
             parameters = self._wanted()
         tracker = self._tracker
         if forget:
-            tracker.model.reset()
+            tracker.forget_learned()
         if tracker.parameters != parameters:
             try:
                 tracker = tracker.with_parameters(parameters)

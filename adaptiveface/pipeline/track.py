@@ -129,7 +129,7 @@ class _Run:
     def result(self) -> Result:
         """The frames so far."""
         self.builder.turned, self.builder.mirrored = self.reader.quarters, self.abilities.mirrored
-        return self.gaze.onto(self.builder.finish(self.tracker.model.correctives))
+        return self.gaze.onto(self.builder.finish(self.tracker.model.correctives, self.tracker.expressions))
 
     def judged(self) -> Result:
         """The finished result. Raises :class:`TrackingError` where it is of no use, and warns of what is doubtful."""

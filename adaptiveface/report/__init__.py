@@ -123,14 +123,14 @@ def _body(
 def _context(result, source, actor, truth, evaluation: Evaluation | None, parameters: Parameters | None) -> Context:
     """Collect what the sections share: a result with an even clock, its source as the tracker saw it, and the truth."""
     if not isinstance(result, Result):
-        result = Result.of_frames(result, actor, parameters)
+        result = Result.of_frames(result, actor, parameters, keep_stages=True)
     if not len(result):
         raise AdaptiveFaceError("the run holds no frame, so there is nothing to report")
     return Context(
         replace(result, timestamps=clean_times(result.timestamps).seconds),
         parameters or Parameters.from_json(result.parameters),
         as_tracked(source, result),
-        actor,
+        result.rig(actor),
         None if truth is None else GroundTruth.of(truth),
         evaluation,
     )

@@ -52,7 +52,9 @@ class Context:
             return None
 
     def initial_vertices(self, number: int) -> np.ndarray:
-        """(N, 3) v1 = b0 + B x of a frame in the camera frame, mm, from its initial coefficients (section 4.2)."""
+        """(N, 3) v1 = b0 + B x of a frame, camera frame, mm: as it was kept, or of its initial coefficients (section 4.2)."""
+        if self.result.v1 is not None:
+            return self.result.v1[number].astype(float)
         x, pose = self.result.coefficients_initial[number], self.result.head_pose[number]
         head = self.actor.neutral + np.tensordot(x, self.actor.blendshapes[: len(x)], axes=1)
         return head @ pose[:3, :3].T + pose[:3, 3]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self, cast, overload
 
 import numpy as np
 
-from ..errors import MissingExtraError, ParameterError
+from ..errors import FileFormatError, MissingExtraError, ParameterError
 from ..files import release
 from ..files.records import declared
 from ..geometry.mesh import transform_points
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from ..geometry.polydata import PolyData
+    from ..model.actor import Actor
 
 
 @renamed
@@ -76,6 +77,7 @@ class ResultAccess:
         expression_names: tuple[str, ...]
         frontal: np.ndarray
         correctives: np.ndarray | None
+        expressions: np.ndarray | None
         v1: np.ndarray | None
         v2: np.ndarray | None
         v3: np.ndarray | None
@@ -144,6 +146,35 @@ class ResultAccess:
         for start in range(0, len(self), size):
             part = slice(start, min(start + size, len(self)))
             yield part, self.head_meshes(np.arange(part.start, part.stop))
+
+    def rig(self, actor: Actor) -> Actor:
+        """The tracked actor with the expressions that the coefficients of this result mean.
+
+        Parameters
+        ----------
+        actor : Actor
+            The rig that was tracked. Its own expressions are what personal blendshapes started from.
+
+        Returns
+        -------
+        Actor
+            With the expressions as they were at the end of the run; ``actor`` itself where none were learned.
+
+        Raises
+        ------
+        FileFormatError
+            The actor has another mesh, or lacks an expression.
+        """
+        if not np.array_equal(actor.triangles, self.triangles):
+            raise FileFormatError("actor.npz and result.npz have different meshes: they do not belong together")
+        missing = [name for name in self.expression_names if name not in actor.expression_names]
+        if missing:
+            raise FileFormatError(f"the actor lacks the expressions {', '.join(missing)[:200]}: it is not the result's")
+        if self.expressions is None:
+            return actor
+        blendshapes = actor.blendshapes.copy()
+        blendshapes[[actor.expression_names.index(name) for name in self.expression_names]] = self.expressions
+        return replace(actor, blendshapes=blendshapes)
 
     def mesh(self, frame: int, stage: str = "v4", reference: np.ndarray | str = "v1") -> PolyData:
         """One frame's mesh for pyvista.

@@ -86,6 +86,13 @@ class Result(ResultAccess):
         optional=True,
         default=None,
     )
+    expressions: np.ndarray | None = array(
+        "A N 3",
+        doc="displacements of the expressions as learned at the end, which the coefficients mean; absent: those of `actor.npz`",
+        unit="mm",
+        optional=True,
+        default=None,
+    )
     colour_only: bool = array("", "b", "tracked without depth, a degraded mode", optional=True, default=False)
     mirrored: bool = array("", "b", "frames were flipped (`--mirrored`) before they were tracked", optional=True, default=False)
     turned: int = array("", "i4", "then they were turned by so many quarters anticlockwise", optional=True, default=0)
@@ -117,6 +124,8 @@ class Result(ResultAccess):
         actor: Actor,
         parameters: Parameters | None = None,
         correctives: np.ndarray | None = None,
+        expressions: np.ndarray | None = None,
+        keep_stages: bool = False,
     ) -> Result:
         """The result of frames that a tracker gave.
 
@@ -130,6 +139,10 @@ class Result(ResultAccess):
             Of the tracker; our defaults without.
         correctives : (3n, K), optional
             The tracker's corrective shapes at the end, over the n frontal vertices.
+        expressions : (A, N, 3), optional
+            The tracker's expressions at the end, mm; without, those of the actor.
+        keep_stages : bool
+            Keep the meshes v1, v2 and v3, too.
 
         Raises
         ------
@@ -137,12 +150,12 @@ class Result(ResultAccess):
             A frame is missing, or not in its place.
         """
         frames = list(frames)
-        builder = ResultBuilder(actor, parameters or Parameters(), len(frames))
+        builder = ResultBuilder(actor, parameters or Parameters(), len(frames), keep_stages)
         for number, frame in enumerate(frames):
             if frame.index != number:
                 raise ParameterError(f"frame {frame.index} is in place {number}: a result needs every frame of its source")
             builder.add(frame)
-        return builder.finish(correctives)
+        return builder.finish(correctives, expressions)
 
     @property
     def doubt(self) -> str:
@@ -210,8 +223,10 @@ class Result(ResultAccess):
 _ROW: tuple[str, ...] = ("timestamps", *MESHES, "rigid", "coefficients", "coefficients_initial", "stage_ms", "residual")
 _ROW += ("anchor_distance", "adaptive_distance", "held_out", "corrective_updates", "reasons")
 _ROW += ("sample_state", "tracked", "skipped")
+#: Arrays that are known only when the run ends.
+_AT_THE_END = ("correctives", "expressions")
 #: What a run that did not end has written beside its rows; the neutral is for frames without a face.
-_HEAD = {name: entry for name, entry in checks(Result).items() if "F" not in entry.shape and name != "correctives"}
+_HEAD = {name: entry for name, entry in checks(Result).items() if "F" not in entry.shape and name not in _AT_THE_END}
 _HEAD |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 
 
@@ -305,14 +320,23 @@ class ResultBuilder:
         row["reasons"] = reason if len(reason) <= REASON else f"{reason[: REASON - 3]}..."
         self._rows.append(row)
 
-    def finish(self, correctives: np.ndarray | None = None) -> Result:
+    def finish(self, correctives: np.ndarray | None = None, expressions: np.ndarray | None = None) -> Result:
         """The frames so far; those that are not tracked repeat the last tracked one.
 
-        ``correctives`` (3n, K): the corrective shapes over the n frontal vertices, as the tracker keeps them.
+        Parameters
+        ----------
+        correctives : (3n, K), optional
+            The corrective shapes over the n frontal vertices, as the tracker keeps them.
+        expressions : (A, N, 3), optional
+            The expressions as the tracker knows them at the end, mm (:attr:`.Tracker.expressions`).
         """
         self._rows.close()
         head = self._head | {"mirrored": np.array(self.mirrored), "turned": np.array(self.turned)}
-        return _of_rows(self._rows.all(), head, None if correctives is None else self._on_whole_mesh(correctives))
+        learned = {
+            "correctives": None if correctives is None else self._on_whole_mesh(correctives),
+            "expressions": None if expressions is None else expressions.astype(np.float32),
+        }
+        return _of_rows(self._rows.all(), head, learned)
 
     def _on_whole_mesh(self, correctives: np.ndarray) -> np.ndarray:
         shapes = np.zeros((correctives.shape[1], len(self.actor.neutral), 3), np.float32)
@@ -327,8 +351,8 @@ def _row_type(head: dict[str, np.ndarray]) -> np.dtype:
     return row_dtype(Result, [name for name in _ROW if name not in left_out], sizes, REASON)
 
 
-def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], correctives: np.ndarray | None = None) -> Result:
-    """The result of rows (F,), in which frames that are not tracked are filled in."""
+def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], learned: dict[str, Any] | None = None) -> Result:
+    """The result of rows (F,), in which frames that are not tracked are filled in; ``learned``: what stands at the end."""
     every = rows.dtype.names or ()
     names = [name for name in every if name not in MESHES]
     small = {name: np.empty((len(rows), *rows.dtype[name].shape), rows.dtype[name].base) for name in names}
@@ -339,7 +363,7 @@ def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], correctives: np.ndar
     _fill_gaps(small, meshes, head["neutral"])
     shared = {name: value for name, value in head.items() if name not in ("neutral", "stages")}
     data = by_attribute(Result, "the rows", shared | small | meshes)
-    return Result(**_consistent(data), correctives=correctives)
+    return Result(**_consistent(data), **learned or {})
 
 
 def _fill_gaps(small: dict[str, np.ndarray], meshes: dict[str, np.ndarray], neutral: np.ndarray) -> None:

@@ -82,6 +82,7 @@ def carried_correctives(
     if not character.shares_topology(actor.triangles):
         raise ParameterError(f"correctives cannot be carried to '{character.name}': its mesh is not the actor's")
     x = driving_coefficients(result, coefficients, actor)
+    actor = result.rig(actor)
     rows = [actor.expression_names.index(name) for name in result.expression_names]
     basis = actor.blendshapes[rows].reshape(len(rows), -1)
     target = character.neutral[: len(actor.neutral)]

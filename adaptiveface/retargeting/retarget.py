@@ -88,7 +88,7 @@ def driving_coefficients(result: Result, coefficients: str = "resolved", actor: 
         return result.coefficients_initial.astype(float)
     if actor is None:
         return result.coefficients.astype(float)
-    resolve = SparseResolve.of(actor, result.expression_names, blendshape_parameters(result))
+    resolve = SparseResolve.of(result.rig(actor), result.expression_names, blendshape_parameters(result))
     out = np.empty((len(result), len(result.expression_names)))
     for part, meshes in result.head_blocks():
         out[part] = [resolve(v4, x) for v4, x in zip(meshes, result.coefficients[part], strict=True)]

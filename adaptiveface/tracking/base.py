@@ -20,6 +20,7 @@ from .adaptive_pca import AdaptiveModel, Parts
 from .feature_rows import feature_rows
 from .held_out import HeldOut
 from .laplacian import FeatureTerm, feature_term
+from .personal_blendshapes import PersonalBlendshapes
 from .printed import printed_term
 from .region import FrontalRegion
 from .stages import Stages
@@ -50,6 +51,9 @@ class Tracker(ABC):
         self.model = self._new_model()
         self.reset()
 
+    #: What is learned about the expressions' meshes; None without.
+    personal: PersonalBlendshapes | None = None
+
     # ---- the state between frames ----------------------------------------------------------------------------------
     @property
     def pose(self) -> np.ndarray | None:
@@ -61,9 +65,26 @@ class Tracker(ABC):
         """The detector need not look at more than every so-many-th frame from now on: 1 where nothing else finds features."""
         return 1
 
+    @property
+    def expressions(self) -> np.ndarray | None:
+        """(A, N, 3) the expressions as they are known now, mm; None while they are those of the actor."""
+        return None if self.blendshapes is self.transferred else self.blendshapes.basis
+
+    def wear_personal(self) -> None:
+        """Fit with the expressions as they are known now; the anchors stay those of the transferred ones."""
+        self.blendshapes = self.transferred
+        if self.personal is not None and self.personal.updates:
+            basis = self.transferred.basis.astype(np.float32)
+            basis[:, self.region.vertices] += self.personal.change
+            self.blendshapes = self.transferred.with_basis(basis)
+
+    def forget_learned(self) -> None:
+        """Forget everything learned, but not where the head is and what the face does."""
+        self.model.reset()
+
     def reset(self) -> None:
         """Start over: forget the pose, the expression and everything learned."""
-        self.model.reset()
+        self.forget_learned()
         self.forget()
 
     def forget(self) -> None:

@@ -147,7 +147,7 @@ class BlendshapeFit:
         self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0), np.float32)
         self._b_flat = self._b.reshape(-1, count)
         self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, actor.feature_triangles])
-        self._flat = self.basis.reshape(count, -1).astype(np.float32)
+        self._flat = self.basis.reshape(count, -1).astype(np.float32, copy=False)
         #: Section 6: the re-solve of the final mesh, ``resolve(vertices (N, 3), start (A,))``.
         self.resolve = SparseResolve(actor, self.basis, self.parameters, np.float32, self._solver)
 

@@ -14,6 +14,7 @@ goes into c, which is not used: the neutral stays, and coefficients of zero chan
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Self
 
 import numpy as np
@@ -46,7 +47,7 @@ class PersonalBlendshapes:
 
     Attributes
     ----------
-    change : (A, n, 3)
+    change : (A, n, 3) float32
         dB, mm. An update replaces it.
     updates : int
         How often that was.
@@ -62,17 +63,24 @@ class PersonalBlendshapes:
     def reset(self) -> None:
         """Forget everything: the expressions are the transferred ones."""
         n, unknowns = self._deviations.shape
-        self.change = np.zeros((unknowns - 1, n, 3))
+        self.change = np.zeros((unknowns - 1, n, 3), np.float32)
         self.updates = 0
         self._gram = np.zeros((unknowns, unknowns))
         self._moments = np.zeros((unknowns, 3 * n), np.float32)
-        self._coming, self._solved = np.zeros((unknowns - 1, n, 3)), 0
+        self._coming, self._solved = np.zeros_like(self.change), 0
         self._shared = False
 
     def copy(self) -> Self:
         """One that goes its own way; arrays are copied when one of the two learns."""
         out = copy.copy(self)
         self._shared = out._shared = True
+        return out
+
+    def remembered(self, keep: Callable[[np.ndarray], np.ndarray] = np.copy) -> Self:
+        """The expressions as they are now in little memory: one that cannot learn. ``keep`` copies an array."""
+        out = copy.copy(self)
+        out.change = keep(self.change)
+        out._gram, out._moments, out._coming = np.zeros((0, 0)), out.change[:0], out.change[:0]
         return out
 
     def learn(self, x: np.ndarray, rest: np.ndarray, trust: float = 1.0) -> bool:

@@ -72,19 +72,11 @@ class FaceTracker(Tracker):
         if differ(old, p, "personal_blendshapes", "blendshapes.A"):
             self.personal = self._make_personal()
         if differ(old, p, "personal_blendshapes", "blendshapes"):
-            self._wear_personal()
+            self.wear_personal()
 
     def _make_personal(self) -> PersonalBlendshapes | None:
         p, basis = self.parameters.personal_blendshapes, self.transferred.basis
         return self.stages.personal_blendshapes(basis[:, self.region.vertices], p) if p.on else None
-
-    def _wear_personal(self) -> None:
-        """Fit with the expressions as they are known now; the anchors stay those of the transferred ones."""
-        self.blendshapes = self.transferred
-        if self.personal is not None and self.personal.updates:
-            basis = self.transferred.basis.copy()
-            basis[:, self.region.vertices] += self.personal.change
-            self.blendshapes = self.transferred.with_basis(basis)
 
     def _make_skin(self) -> DenseSkin | None:
         """The colour term, where the actor's skin is known; it works with soft rows only."""
@@ -93,12 +85,12 @@ class FaceTracker(Tracker):
             return None
         return self.stages.skin(skin, self.region, self.deformation, p.skin)
 
-    def reset(self) -> None:
-        """Start over: forget the pose, the expression and everything learned."""
+    def forget_learned(self) -> None:
+        """Forget the correctives and the personal blendshapes, but not where the head is and what the face does."""
+        super().forget_learned()
         if self.personal is not None:
             self.personal.reset()
-            self._wear_personal()
-        super().reset()
+            self.wear_personal()
 
     def copy(self) -> Self:
         """The tracker as it is between two frames, without copying arrays: tracking on replaces them."""
@@ -331,4 +323,4 @@ class FaceTracker(Tracker):
         good = state in (SampleState.IN_ANCHOR_SPACE, SampleState.LEARNED)
         if self.personal is not None and good and self.parameters.adaptive_pca.learn:
             if self.personal.learn(x, self.region.difference(v2, self.blendshapes.shape(x)), coverage):
-                self._wear_personal()
+                self.wear_personal()

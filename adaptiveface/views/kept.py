@@ -33,14 +33,15 @@ class KeptFrame(TrackedFrame):
     """
 
     @classmethod
-    def of(cls, result: TrackedFrame, keeper: Keeper) -> KeptFrame:
-        """The frame ``result`` as its ``keeper`` keeps it."""
+    def of(cls, result: TrackedFrame, keeper: Keeper, change: np.ndarray | None) -> KeptFrame:
+        """The frame ``result`` as its ``keeper`` keeps it; ``change`` as in :meth:`Keeper.keep`."""
         kept = cls.__new__(cls)
         for entry in fields(TrackedFrame):
             if entry.name not in MESHES:
                 object.__setattr__(kept, entry.name, getattr(result, entry.name))
         object.__setattr__(kept, "_keeper", keeper)
-        object.__setattr__(kept, "_parts", keeper.parts(result))
+        object.__setattr__(kept, "_change", change)
+        object.__setattr__(kept, "_parts", keeper.parts(result, change))
         return kept
 
     def __getattr__(self, name: str) -> np.ndarray:
@@ -58,7 +59,8 @@ class Keeper:
 
     def __init__(self, actor: Actor) -> None:
         self._neutral = actor.neutral
-        self._basis = actor.blendshapes.reshape(len(actor.blendshapes), -1).astype(np.float32)
+        self._basis, self._frontal = actor.blendshapes.astype(np.float32), actor.frontal
+        self._changed: tuple[np.ndarray | None, np.ndarray] = None, self._basis  # the last change, and the basis with it
         moving = actor.frontal | (actor.blendshapes != 0).any(axis=(0, 2))
         everywhere = np.ones(len(moving), bool)
         self._rows = [
@@ -66,13 +68,16 @@ class Keeper:
         ]
         self._ready: list[tuple[KeptFrame, tuple[np.ndarray, ...]]] = []
 
-    def keep(self, result: TrackedFrame) -> KeptFrame:
-        """Return a result in the form to keep. The meshes of the last few need no rebuilding."""
-        return result if isinstance(result, KeptFrame) else KeptFrame.of(result, self)
+    def keep(self, result: TrackedFrame, change: np.ndarray | None = None) -> KeptFrame:
+        """Return a result in the form to keep. The meshes of the last few need no rebuilding.
 
-    def parts(self, result: TrackedFrame) -> list[tuple[int, np.ndarray]]:
+        ``change`` (A, n, 3): what personal blendshapes had changed in the expressions, mm; another one costs memory only.
+        """
+        return result if isinstance(result, KeptFrame) else KeptFrame.of(result, self, change)
+
+    def parts(self, result: TrackedFrame, change: np.ndarray | None) -> list[tuple[int, np.ndarray]]:
         """For every mesh, the rows that differ from the previous mesh, and their values in float32."""
-        before, out = self._shape(result.coefficients_initial), []
+        before, out = self._shape(result.coefficients_initial, change), []
         for name in MESHES:
             mesh = getattr(result, name).astype(np.float32)
             which = next(k for k, (same, _) in enumerate(self._rows) if np.array_equal(mesh[same], before[same]))
@@ -85,7 +90,7 @@ class Keeper:
         for known, meshes in self._ready:
             if known is kept:
                 return meshes
-        mesh, out = self._shape(kept.coefficients_initial), []
+        mesh, out = self._shape(kept.coefficients_initial, kept._change), []
         for which, rows in kept._parts:
             if len(rows):
                 mesh = mesh.copy()
@@ -96,7 +101,14 @@ class Keeper:
         self._ready = [(kept, tuple(out)), *self._ready[: READY - 1]]
         return self._ready[0][1]
 
-    def _shape(self, x: np.ndarray) -> np.ndarray:
+    def _shape(self, x: np.ndarray, change: np.ndarray | None) -> np.ndarray:
         """b0 + B x as the tracker computes it (:meth:`~adaptiveface.tracking.expression.BlendshapeFit.shape`)."""
-        moved = (x.astype(np.float32) @ self._basis[: len(x)]).reshape(-1, 3)
+        if change is not self._changed[0]:
+            basis = self._basis
+            if change is not None:
+                basis = basis[: len(change)].copy()
+                basis[:, self._frontal] += change
+            self._changed = change, basis
+        basis = self._changed[1][: len(x)]
+        moved = (x.astype(np.float32) @ basis.reshape(len(x), -1)).reshape(-1, 3)
         return (self._neutral + moved).astype(np.float32)

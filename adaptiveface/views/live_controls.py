@@ -136,7 +136,9 @@ class LiveControls:
         self.enough = _button("enough", "check", "build the head from the frames so far", "enough", width="100px")
         self.relearn = _button("relearn neutral", "user", "scan the neutral face again", "relearn")
         self.freeze = _button("freeze learning", "pause", "keep the correctives as they are", "freeze", toggle=True)
-        self.reset = _button("reset correctives", "trash", "forget every learned corrective", "reset")
+        self.reset = _button(
+            "reset correctives", "trash", "forget every learned corrective, and what was learned about the expressions", "reset"
+        )
         self.record = _button("record", "circle", "write the frames to the folder", "record", toggle=True, width="100px")
         self.folder = widgets.Text("", placeholder="folder (named by date and time)", layout=widgets.Layout(width="260px"))
         self.save = _button("save actor", "download", "write the head to the file", "save", width="110px")

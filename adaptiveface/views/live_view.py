@@ -139,7 +139,7 @@ class LiveView(Displayed):
             self.run.session.freeze(on)
 
     def reset_correctives(self) -> None:
-        """Forget the learned correctives."""
+        """Forget the learned correctives and the personal blendshapes."""
         if self.run is not None and self.run.session is not None:
             self.run.session.reset_correctives()
 

@@ -122,10 +122,13 @@ class Replay:
         tracker = tracker.with_state(before.state if same_filter else replace(before.state, filter=None))
         if before.parameters.adaptive_pca == self.parameters.adaptive_pca:
             tracker.model = before.model
+        if tracker.personal is not None and before.personal is not None:
+            tracker.personal = before.personal
+            tracker.wear_personal()
         return tracker.track(self.frames[index])
 
     def _keep(self, index: int, result: TrackedFrame) -> None:
-        self.results[index], self._made_with[index] = self._keeper.keep(result), self.parameters
+        self.results[index], self._made_with[index] = self._keeper.keep(result, self._history.change(index)), self.parameters
 
     def preview(self, parameters: Parameters, index: int) -> TrackedFrame:
         """Frame ``index`` with other parameters, from where the previous frame left the head.
@@ -180,7 +183,7 @@ class Replay:
     def model_after(self, index: int) -> AdaptiveModel:
         """The adaptive model once frame ``index`` was learned (read it, do not let it learn)."""
         following = index + 1
-        return self._history.before(following).model if following < self.done else self.tracker.model
+        return self._history.model(following) if following < self.done else self.tracker.model
 
     def learned_by(self, index: int) -> tuple:
         """A value that changes whenever :meth:`model_after` changes, and is cheap to compare."""

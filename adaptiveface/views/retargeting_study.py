@@ -41,17 +41,25 @@ _STYLE, _WIDE = {"description_width": "130px"}, widgets.Layout(width="290px")
 class RetargetingStudy(Displayed):
     """One 3D view of the actor (final mesh v4) and of characters, turned by the mouse; ``widget`` is what to display.
 
-    ``results``: the tracked frames of the session. Coefficients come from the sliders, or from the frame that the
+    ``results``: the tracked frames of the session. ``expressions`` (A, N, 3) mm: what their coefficients mean, as
+    :attr:`.Tracker.expressions`; those of the actor without. Coefficients come from the sliders, or from the frame that the
     player shows; ``COMPARED`` shows one character by initial and by re-solved coefficients and with the correctives. The
     chart shows one expression, initial against re-solved.
     """
 
     def __init__(
-        self, session: Session, results: Sequence[TrackedFrame], characters: Sequence[str] = BUILT_IN, pane: int = 250
+        self,
+        session: Session,
+        results: Sequence[TrackedFrame],
+        characters: Sequence[str] = BUILT_IN,
+        pane: int = 250,
+        expressions: np.ndarray | None = None,
     ) -> None:
         self.actor, self.pane = session.actor, pane
         self.results = [result for result in results if result is not None and result.tracked]
         names = self.actor.expression_names[: len(self.results[0].coefficients)]
+        if expressions is not None:
+            self.actor = replace(self.actor, blendshapes=expressions, expression_names=tuple(names))
         self.names, self._table = tuple(names), arkit_weights(names)
         self.initial = np.array([r.coefficients_initial for r in self.results])
         self.resolved = self._resolved(SPARSITY)
