@@ -188,7 +188,7 @@ def test_truth_is_scored_where_no_evaluation_is_given(run, tmp_path):
 def test_report_of_a_saved_result_is_that_of_its_frames(run, tmp_path):
     """Also in the times of stages that a lost frame did not reach: they are unknown, not zero."""
     source, frames = run
-    Result.of_frames(frames, source.actor).save(tmp_path / "result.npz")
+    Result.of_frames(frames, source.actor, keep_stages=True).save(tmp_path / "result.npz")
     saved = Result.load(tmp_path / "result.npz")
     assert saved.parameters == Parameters().to_json() and not saved.tracked[4]
     pages = [write_report(given, source, source.actor, tmp_path, source).read_text() for given in (frames, saved)]
