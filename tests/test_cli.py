@@ -66,6 +66,24 @@ def test_track_with_an_actor(take, tmp_path, capsys):
         assert error[result.frontal].mean() < 0.5  # mm; 0.25 at most when this was written
 
 
+def test_what_was_learned_about_expressions_goes_into_the_next_performance(take, tmp_path, capsys):
+    recording, actor = take
+    personal, out = tmp_path / "personal.npz", tmp_path / "r.npz"
+    often = ("--set", "personal_blendshapes.interval=3")
+    status, text, err = run(capsys, "track", recording, "--actor", actor, "--out", out, "--personal-actor", personal, *often)
+    assert (status, err) == (0, "") and f"{personal}: the rig with the expressions as learned" in text
+    result, before, after = Result.load(out), Actor.load(actor), Actor.load(personal)
+    np.testing.assert_allclose(after.blendshapes, result.rig(before).blendshapes, atol=1e-4)
+    jaw = before.expression_names.index("jawOpen")
+    assert np.abs(after.blendshapes[jaw] - before.blendshapes[jaw]).max() > 0.01
+    np.testing.assert_array_equal(after.neutral, before.neutral)
+    assert run(capsys, "track", recording, "--actor", personal, "--out", tmp_path / "next.npz")[0] == 0
+    off = ("--set", "personal_blendshapes.on=false")
+    status, text, _ = run(capsys, "track", recording, "--actor", actor, "--out", out, "--personal-actor", personal, *off)
+    assert status == 0 and "as they were: nothing was learned about them" in text
+    np.testing.assert_allclose(Actor.load(personal).blendshapes, before.blendshapes, atol=1e-4)
+
+
 def test_track_keeps_stages_and_parameters_on_demand(take, tmp_path, capsys):
     recording, actor = take
     arguments = ["--keep-stages", "--set", "laplacian.w1=0.2", "adaptive_pca.K=3", "--set", "blendshapes.A=9"]

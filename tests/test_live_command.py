@@ -49,20 +49,22 @@ def test_without_a_sensor_it_lists_what_there_is(capsys):
 def test_a_recording_is_tracked_recorded_and_saved(take, tmp_path, capsys):
     recording, actor = take
     out, copy, again = tmp_path / "r.npz", tmp_path / "copy", tmp_path / "a.npz"
-    options = ("--actor", actor, "--out", out, "--record", copy, "--save-actor", again)
-    assert live(recording, "--headless", *options, "--set", "adaptive_pca.K=3") == 0
+    options = ("--actor", actor, "--out", out, "--record", copy, "--save-actor", again, "--personal-actor", tmp_path / "p.npz")
+    often = "personal_blendshapes.interval=3"
+    assert live(recording, "--headless", *options, "--set", "adaptive_pca.K=3", often) == 0
     text = capsys.readouterr().out
     assert "8 frames: 8 tracked" in text and "latency" in text and f"{copy}: 8 frames" in text
     result = Result.load(out)
     assert result.tracked.all() and '"K": 3' in result.parameters
-    assert (
-        main(["track", str(recording), "--actor", str(actor), "--out", str(tmp_path / "t.npz"), "--set", "adaptive_pca.K=3"])
-        == 0
-    )
+    command = ("track", recording, "--actor", actor, "--out", tmp_path / "t.npz", "--set", "adaptive_pca.K=3", often)
+    assert main([str(word) for word in command]) == 0
     np.testing.assert_array_equal(Result.load(tmp_path / "t.npz").vertices, result.vertices)  # as without threads
     for a, b in zip(Recording(recording), Recording(copy), strict=True):
         assert np.array_equal(a.depth, b.depth)
     np.testing.assert_array_equal(Actor.load(again).neutral, Actor.load(actor).neutral)
+    learned = result.rig(Actor.load(actor)).blendshapes
+    np.testing.assert_allclose(Actor.load(tmp_path / "p.npz").blendshapes, learned, atol=1e-4)
+    assert np.abs(learned - Actor.load(actor).blendshapes).max() > 0.01
 
 
 def test_bad_requests_end_in_one_line_before_any_work(take, tmp_path, capsys):

@@ -196,6 +196,14 @@ COMMANDS = {
     "convert into a full folder": (("convert", "v.mp4", "--out", "full"), "holds files already"),
     "demo onto a file": (("demo", "--out", "a.npz"), "is a file"),
     "live, one name for two": (("live", "synthetic", "--headless", "--out", "n.npz", "--save-actor", "n.npz"), "two outputs"),
+    "learned onto its actor": (
+        ("track", "synthetic", "--actor", "a.npz", "--out", "n.npz", "--personal-actor", "link.npz"),
+        "also read",
+    ),
+    "live, the learned actor onto the captured": (
+        ("live", "synthetic", "--headless", "--save-actor", "b.npz", "--personal-actor", "./b.npz"),
+        "two outputs",
+    ),
     "live onto its actor": (
         ("live", "synthetic", "--headless", "--actor", "a.npz", "--save-actor", "./a.npz"),
         "also read",

@@ -6,8 +6,8 @@ import argparse
 import time
 from pathlib import Path
 
-from ..export.arguments import add_actor, add_export_arguments
-from ..files import check_folder, check_output
+from ..export.arguments import add_actor, add_export_arguments, add_personal_actor
+from ..files import check_distinct, check_folder, check_output
 from ..retargeting import BUILT_IN
 from ..runtime.interrupt import CtrlC
 from .arguments import (
@@ -140,6 +140,7 @@ def add_track(commands) -> None:
     track.add_argument(
         "--keep-stages", action="store_true", help="also store the meshes of the intermediate stages: v1, v2 and v3"
     )
+    add_personal_actor(track)
     track.add_argument("--report", type=Path, metavar="DIR", help="also write report.html to this folder")
     add_settings(track)
     track.set_defaults(run=run_track)
@@ -150,6 +151,9 @@ def run_track(args: argparse.Namespace) -> int:
     chosen = parameters(args.set)
     inputs = [args.source, args.actor]
     check_output(args.out, "result", inputs)
+    if args.personal_actor:
+        check_output(args.personal_actor, "actor", inputs)
+        check_distinct(args.out, args.personal_actor)
     if args.report:
         check_folder(args.report)
         if args.report.is_dir():
@@ -176,6 +180,10 @@ def run_track(args: argparse.Namespace) -> int:
         discard(unfinished_folder(args.out))
         raise
     print(f"{args.out}: {result.summary()}")
+    if args.personal_actor:
+        result.rig(actor).save(args.personal_actor)
+        learned = "as they were: nothing was learned about them" if result.expressions is None else "as learned"
+        print(f"{args.personal_actor}: the rig with the expressions {learned}")
     if args.report:
         _report(result, source, actor, args.report, still_frames=still_frames)
     return 0

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import ParameterError
-from ..export.arguments import add_actor, add_destinations, add_stream_arguments
+from ..export.arguments import add_actor, add_destinations, add_personal_actor, add_stream_arguments
 from .arguments import (
     add_command,
     add_mirrored,
@@ -106,6 +106,7 @@ def add_live(commands) -> None:
     add_notebook_folder(live)
     add_actor(live, "captured first, by a guided scan")
     live.add_argument("--save-actor", type=Path, metavar="FILE", help="save the captured rig to this file")
+    add_personal_actor(live)
     live.add_argument("--record", type=Path, metavar="DIR", help="also record every frame to a new folder")
     live.add_argument("--out", type=Path, metavar="result.npz", help="save the result, 3 MB a second; of livelink: take.csv")
     add_destinations(live)

@@ -21,6 +21,16 @@ FORMATS = {
 }
 
 
+def add_personal_actor(command: argparse.ArgumentParser) -> None:
+    """Option of ``track`` and ``live`` that keeps what is learned about the person's expressions."""
+    command.add_argument(
+        "--personal-actor",
+        type=Path,
+        metavar="FILE",
+        help="also save the rig with the expressions as this performance taught them; give it to the next one as --actor",
+    )
+
+
 def add_export_arguments(command: argparse.ArgumentParser) -> None:
     """Options of ``adaptiveface export``."""
     command.add_argument(

@@ -57,7 +57,19 @@ def _open_notebook(args: argparse.Namespace) -> int:
 
     given = [
         f"--{name.replace('_', '-')}"
-        for name in ("save_actor", "record", "out", "vmc", "osc", "livelink", "vmc_avatar", "vmc_root", "seconds", "set")
+        for name in (
+            "save_actor",
+            "personal_actor",
+            "record",
+            "out",
+            "vmc",
+            "osc",
+            "livelink",
+            "vmc_avatar",
+            "vmc_root",
+            "seconds",
+            "set",
+        )
         if getattr(args, name) not in (None, [], False)
     ]
     if given:
@@ -88,12 +100,12 @@ class _Headless:
 
     def _check_outputs(self) -> None:
         args, inputs = self.args, [self.args.sensor, self.args.actor]
-        for path, kind in ((args.out, "result"), (args.save_actor, "actor")):
+        for path, kind in ((args.out, "result"), (args.save_actor, "actor"), (args.personal_actor, "actor")):
             if path is not None:
                 check_output(path, kind, inputs)
         if args.record is not None:
             check_new_folder(args.record, inputs)
-        check_distinct(args.out, args.save_actor, args.record)
+        check_distinct(args.out, args.save_actor, args.personal_actor, args.record)
         from ..export.destinations import addresses, avatar
 
         self._destinations, self._avatar = addresses(self.args), avatar(self.args)
@@ -185,15 +197,12 @@ class _Headless:
 
     # ---- tracking --------------------------------------------------------------------------------------------------
     def _track(self, session: LiveSession, ctrl_c: CtrlC) -> None:
-        try:
+        with ExitStack() as at_the_end:  # the last one first: printing may fail
+            at_the_end.callback(lambda: self.line.end(str(session.statistics)))
+            at_the_end.callback(self._save, session)
+            at_the_end.callback(self._save_learned, session)
             with session:
                 self._follow(session, ctrl_c)
-        finally:
-            statistics = str(session.statistics)
-            try:
-                self._save(session)  # before anything is printed, because printing may fail
-            finally:
-                self.line.end(statistics)
         statistics, name = session.statistics, session.feed.sensor.name
         if session.ended and not statistics.tracked + statistics.lost:
             raise TrackingError(
@@ -201,6 +210,10 @@ class _Headless:
             )
         if not statistics.tracked:
             raise TrackingError(f"{name}: the face was never found")
+
+    def _save_learned(self, session: LiveSession) -> None:
+        if self.args.personal_actor is not None and session.statistics.tracked:
+            session.personal_actor().save(self.args.personal_actor)
 
     def _save(self, session: LiveSession) -> None:
         if self._builder is None:
@@ -256,7 +269,9 @@ def run_live_stream(args: argparse.Namespace, parameters: Parameters) -> int:
     """``adaptiveface stream SENSOR``: do what ``live --headless --vmc`` does, until Ctrl-C."""
     from ..export.stream import VMC_PORT
 
-    values = dict(vars(args), sensor=args.source, headless=True, out=None, save_actor=None, record=None, seconds=None)
+    values = dict(
+        vars(args), sensor=args.source, headless=True, out=None, save_actor=None, personal_actor=None, record=None, seconds=None
+    )
     if args.vmc is None and args.osc is None and args.livelink is None:
         values["vmc"] = str(VMC_PORT)
     return _Headless(argparse.Namespace(**values), parameters).run()

@@ -21,7 +21,7 @@ from ..runtime.interrupt import CtrlC
 from .status import StatusLine
 
 #: Options of ``live`` that need pictures, with the value when nobody asked for them.
-_OF_SENSORS = {"actor": None, "save_actor": None, "record": None, "set": [], "mirrored": False}
+_OF_SENSORS = {"actor": None, "save_actor": None, "personal_actor": None, "record": None, "set": [], "mirrored": False}
 _SHOWN = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft")
 
 

@@ -158,6 +158,10 @@ class LiveSession:
         if self._errors:
             raise self._errors.pop(0)
 
+    def personal_actor(self) -> Actor:
+        """The actor with the expressions as they are known now, to be saved."""
+        return self._tracker.personal_actor()
+
     # ---- the tracker's thread --------------------------------------------------------------------------------------
     def _run(self) -> None:
         with one_blas_thread():

@@ -78,6 +78,12 @@ class Tracker(ABC):
             basis[:, self.region.vertices] += self.personal.change
             self.blendshapes = self.transferred.with_basis(basis)
 
+    def personal_actor(self) -> Actor:
+        """The actor with the expressions as they are known now, to be saved; another tracker goes on from there."""
+        blendshapes = self.given.blendshapes.copy()
+        blendshapes[: len(self.blendshapes.basis)] = self.blendshapes.basis
+        return replace(self.given, blendshapes=blendshapes)
+
     def forget_learned(self) -> None:
         """Forget everything learned, but not where the head is and what the face does."""
         self.model.reset()

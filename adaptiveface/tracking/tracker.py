@@ -98,12 +98,6 @@ class FaceTracker(Tracker):
         out.personal = None if self.personal is None else self.personal.copy()
         return out
 
-    def personal_actor(self) -> Actor:
-        """The actor with the expressions as they are known now, to be saved; another tracker goes on from there."""
-        blendshapes = self.given.blendshapes.copy()
-        blendshapes[: len(self.blendshapes.basis)] = self.blendshapes.basis
-        return replace(self.given, blendshapes=blendshapes)
-
     @property
     def detect_every(self) -> int:
         """``refinement.detect_every`` while features can be predicted and refined, 1 where they must be detected."""
