@@ -121,7 +121,7 @@ def run_performer(seed: int, noise: str, options: dict) -> dict:
     for name, (kind, changed) in (SKIN if options["skin"] else EXACT_DETECTED).items():
         if kind not in actors:
             actors[kind] = capture_actor([pair[kind] for pair in scan], parameters=parameters)
-        runs[name] = Run(sensor, actors[kind], parameters.set(**changed), neutral, kind)
+        runs[name] = Run(sensor, actors[kind], parameters.replace(**changed), neutral, kind)
     errors, found = [], 0
     for index in range(len(sensor)):
         pair = frames[index]

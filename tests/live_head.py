@@ -14,7 +14,7 @@ from adaptiveface.parameters import Parameters
 from adaptiveface.sensors.driver import Driver, RawFrame
 
 #: A coarse head, made in a second.
-QUICK = Parameters().set(
+QUICK = Parameters().replace(
     fusion__voxel=4.0,
     fusion__passes=1,
     fusion__iterations=5,

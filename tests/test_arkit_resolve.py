@@ -68,7 +68,7 @@ def test_units_are_arkit_names_without_gaze():
 
 def test_the_run_s_own_parameters_hold(scene):
     actor, result, _ = scene
-    capped = replace(result, parameters=Parameters().set(blendshapes__upper=0.3).to_json())
+    capped = replace(result, parameters=Parameters().replace(blendshapes__upper=0.3).to_json())
     assert retarget(capped, "arkit", actor=actor).curves.max() == pytest.approx(0.3, abs=1e-6)
 
 

@@ -209,7 +209,7 @@ def test_a_batch_that_was_killed_goes_on_and_ends_with_the_tables_of_one_that_wa
 def test_other_options_make_another_job(takes):
     source = good(takes)[:1]
     first, again = (expand(source, Parameters())[0] for _ in range(2))
-    other = expand(source, Parameters().set(laplacian__w2=9.0))[0]
+    other = expand(source, Parameters().replace(laplacian__w2=9.0))[0]
     assert first.fingerprint == again.fingerprint != other.fingerprint
 
 

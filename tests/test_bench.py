@@ -147,7 +147,7 @@ def test_growth_is_judged_against_n_log_n():
 
 def test_growth_shows_every_stage_and_its_peers(scene, recorded):
     actor, frames = scene
-    sets = [Parameters().set(**{"adaptive_pca.S": 8, "adaptive_pca.K": K}) for K in (2, 4)]
+    sets = [Parameters().replace(**{"adaptive_pca.S": 8, "adaptive_pca.K": K}) for K in (2, 4)]
     stages = growth.stage_growth([FaceTracker(actor, p) for p in sets], (2, 4), frames[:16])
     assert [entry.name for entry in stages] == [*STAGE_NAMES, "sum of stages"]
     learning = next(entry for entry in stages if entry.name == "adaptive_pca")

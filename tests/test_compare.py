@@ -98,7 +98,7 @@ def test_the_command_scores_several_and_says_what_differs(scene, tmp_path, capsy
     second = tmp_path / "second"
     second.mkdir()
     actor.save(second / "actor.npz")
-    changed = dataclasses.replace(result, parameters=Parameters().set(laplacian__w2=9.0).to_json())
+    changed = dataclasses.replace(result, parameters=Parameters().replace(laplacian__w2=9.0).to_json())
     changed.save(second / "result.npz")
     truth = str(folder / "ground_truth.npz")
     call = ["evaluate", str(folder / "result.npz"), truth, str(second / "result.npz"), truth, "--csv", str(tmp_path / "t.csv")]
@@ -125,7 +125,7 @@ def test_the_interval_of_the_mean_covers_it_as_often_as_it_says():
 
 
 def test_parameters_say_what_differs():
-    changed = Parameters().set(laplacian__w2=9.0, adaptive_pca__K=3)
+    changed = Parameters().replace(laplacian__w2=9.0, adaptive_pca__K=3)
     default = Parameters()
     assert default.diff(changed) == {"laplacian.w2": (default.laplacian.w2, 9.0), "adaptive_pca.K": (default.adaptive_pca.K, 3)}
     assert not default.diff(Parameters())

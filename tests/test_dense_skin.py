@@ -23,7 +23,7 @@ from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation
 from adaptiveface.tracking.skin_term import SkinTerm
 from adaptiveface.tracking.tracker import FaceTracker
 
-ON, OFF = Parameters().set(skin__on=True), Parameters().set(skin__on=False)
+ON, OFF = Parameters().replace(skin__on=True), Parameters().replace(skin__on=False)
 NEUTRAL, FIRST, LAST = 12, 22, 34
 
 
@@ -236,7 +236,7 @@ def test_motion_within_the_surface_is_followed(sensor, actor, frames):
 
 def test_a_second_look_follows_fast_motion_further(sensor, actor, frames):
     """Ten frames a second: twelve conjugate-gradient steps after one look, or six after each of two."""
-    once, twice = (ON.set(skin__looks=n, skin__cg_iterations=12 // n) for n in (1, 2))
+    once, twice = (ON.replace(skin__looks=n, skin__cg_iterations=12 // n) for n in (1, 2))
     errors = [within_surface(sensor, actor, v2_of(actor, frames[::3], p), stride=3) for p in (once, twice)]
     assert errors[1] < 0.95 * errors[0]
 
@@ -247,7 +247,7 @@ def test_off_without_colour_and_in_the_papers_reading_it_changes_nothing(actor, 
     grey = [replace(frame, colour=None) for frame in frames[:3]]
     np.testing.assert_array_equal(v2_of(actor, frames[:3], OFF)[-1], v2_of(plain, frames[:3], ON)[-1])
     np.testing.assert_array_equal(v2_of(actor, grey, ON)[-1], v2_of(plain, grey, ON)[-1])
-    literal = Parameters.paper().set(skin__on=True)  # its depth term has no place for more rows
+    literal = Parameters.paper().replace(skin__on=True)  # its depth term has no place for more rows
     assert FaceTracker(actor, literal).skin is None
 
 

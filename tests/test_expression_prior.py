@@ -12,7 +12,7 @@ from adaptiveface.tracking.resolve import SparseResolve
 MODEL = embedded_face_model()
 NAMES = list(MODEL.generic_names)
 NONE = Parameters().blendshapes
-HABITS = Parameters().set(**{"blendshapes.habits": 90}).blendshapes
+HABITS = Parameters().replace(**{"blendshapes.habits": 90}).blendshapes
 
 
 @pytest.fixture(scope="module")

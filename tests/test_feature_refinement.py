@@ -184,7 +184,7 @@ def test_only_detected_features_of_coloured_frames_are_refined(sensor, actor):
     """Exact features give an actor without appearance; a tracker leaves alone what it cannot or must not refine."""
     frame = misread(sensor.read(0))
     on = FaceTracker(actor)
-    off = FaceTracker(actor, PARAMETERS.set(refinement__on=False))
+    off = FaceTracker(actor, PARAMETERS.replace(refinement__on=False))
     plain = FaceTracker(replace(actor, appearance=None))
     assert on.refinement is not None and off.refinement is None and plain.refinement is None
     same = [t.track(f).v4 for t, f in ((on, replace(frame, colour=None)), (off, frame), (plain, frame))]
@@ -196,7 +196,7 @@ def test_only_detected_features_of_coloured_frames_are_refined(sensor, actor):
 def test_a_running_tracker_can_switch_it(sensor, actor):
     tracker = FaceTracker(actor)
     tracker.track(misread(sensor.read(0)))
-    without = tracker.with_parameters(PARAMETERS.set(refinement__on=False))
+    without = tracker.with_parameters(PARAMETERS.replace(refinement__on=False))
     assert without.refinement is None and tracker.refinement is not None
     assert without.with_parameters(PARAMETERS).refinement is not None
 

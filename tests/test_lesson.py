@@ -30,7 +30,7 @@ def session() -> Session:
 
 def replay_with(session: Session, **changes) -> views.Replay:
     """All frames tracked under other parameters of the adaptive PCA."""
-    parameters = views.Parameters().set(**{f"adaptive_pca__{name}": value for name, value in changes.items()})
+    parameters = views.Parameters().replace(**{f"adaptive_pca__{name}": value for name, value in changes.items()})
     replay = views.Replay(session.frames, session.actor, parameters)
     replay.run()
     return replay
@@ -136,7 +136,7 @@ def test_energy_chart(session, default):
             self.said.append(values)
 
     chart.steer(Bench())
-    chart.show(views.Parameters().set(adaptive_pca__valid_max=60.0).adaptive_pca)
+    chart.show(views.Parameters().replace(adaptive_pca__valid_max=60.0).adaptive_pca)
     assert Bench.said == [] and chart._image.high == 60.0, "following a slider moves no slider"
     chart._image.high = 40.0
     assert Bench.said == [{"adaptive_pca__valid_max": 40.0}]
@@ -144,7 +144,7 @@ def test_energy_chart(session, default):
 
 def with_weights(session: Session, **changes) -> list:
     """The first frames, of the laugh, tracked with other weights."""
-    replay = views.Replay(session.frames[:14], session.actor, views.Parameters().set(**changes))
+    replay = views.Replay(session.frames[:14], session.actor, views.Parameters().replace(**changes))
     return replay.run()
 
 

@@ -205,7 +205,7 @@ def test_a_sensor_that_opens_after_closing_is_closed(monkeypatch):
 def test_changed_parameters_are_those_of_the_session(sensor):
     with LiveRun(sensor, exact_actor()) as run:
         assert run.wait()
-        run.set_parameters(run.parameters.set(laplacian__w2=9.0))
+        run.set_parameters(run.parameters.replace(laplacian__w2=9.0))
         assert run.session.parameters.laplacian.w2 == run.parameters.laplacian.w2 == 9.0
         np.testing.assert_array_equal(run.actor.neutral, exact_actor().neutral)
 

@@ -106,12 +106,12 @@ def test_closing_twice_is_quick_and_leaves_no_thread():
 def test_parameters_act_on_the_next_frame_and_keep_head_and_correctives():
     permits = threading.Semaphore(0)
     with LiveSensor(lambda: Endless(frames(), permits), max_age=60) as sensor, FeatureFeed(sensor) as feed:
-        parameters, last = Parameters().set(adaptive_pca__valid_min=0.0), -1
+        parameters, last = Parameters().replace(adaptive_pca__valid_min=0.0), -1
         changes = ({"laplacian__w2": 3.0}, {"adaptive_pca__K": 2}, {"blendshapes__A": 12}, {"kalman__model": "off"})
         with LiveSession(feed, exact_actor(), parameters) as session:
             for change in ({}, {}, {}, {}, *changes):
                 learned = session.model.count
-                session.set_parameters(session.parameters.set(**change))
+                session.set_parameters(session.parameters.replace(**change))
                 permits.release()
                 result = session.latest(last, 30)
                 last = result.index
@@ -123,7 +123,7 @@ def test_parameters_act_on_the_next_frame_and_keep_head_and_correctives():
 
 def test_frozen_nothing_is_learned_and_reset_forgets_the_correctives():
     given = steps()
-    parameters = Parameters().set(adaptive_pca__valid_min=0.0)
+    parameters = Parameters().replace(adaptive_pca__valid_min=0.0)
     results = []
     with LiveSensor(lambda: ScriptedDriver(given)) as sensor, FeatureFeed(sensor) as feed:
 

@@ -71,9 +71,12 @@ def test_json_round_trip():
         Parameters.from_json("[1, 2]")
 
 
-def test_a_copy_is_changed_under_both_names():
+def test_a_copy_is_changed_and_the_earlier_name_of_replace_warns():
     start = Parameters()
-    assert start.set(laplacian__w2=7.5) == start.replace(laplacian__w2=7.5) != start == Parameters()
+    changed = start.replace(laplacian__w2=7.5)
+    assert changed != start == Parameters()
+    with pytest.warns(DeprecationWarning, match="Parameters.set is now called replace"):
+        assert start.set(laplacian__w2=7.5) == changed
 
 
 def test_every_parameter_is_documented_and_its_values_lie_in_range():

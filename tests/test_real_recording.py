@@ -188,7 +188,7 @@ def test_dense_skin_holds_a_plain_glossy_head_better(mannequin, detector):
     regions = {"face": capture.actor.frontal & capture.actor.depth_valid, **actor_regions(capture.actor)}
     slides = {}
     for on in (False, True):
-        tracker, rows = FaceTracker(capture.actor, Parameters().set(skin__on=on)), []
+        tracker, rows = FaceTracker(capture.actor, Parameters().replace(skin__on=on)), []
         for index in reversed(range(len(frames))):
             tracked, pose = tracker.track(frames[index]), poses.get(index)
             if pose is None or not tracked.tracked or np.degrees(np.arccos(-pose[2, 2])) > 45:

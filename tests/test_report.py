@@ -85,7 +85,7 @@ def test_report_holds_its_parts_and_nothing_from_outside(run, tmp_path):
     source, frames = run
     correctives = np.random.default_rng(0).normal(size=(3 * int(source.actor.frontal.sum()), 2))
     evaluation = ev.evaluate_run(frames, source, source.actor)
-    parameters = Parameters().set(laplacian__w1=0.2)
+    parameters = Parameters().replace(laplacian__w1=0.2)
     path = write_report(
         frames,
         source,

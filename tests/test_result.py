@@ -137,7 +137,7 @@ def test_a_run_that_never_found_the_face_shows_the_neutral(actor):
 
 
 def test_fewer_expressions_than_the_rig_has(actor):
-    parameters = Parameters().set(**{"blendshapes.A": 3})
+    parameters = Parameters().replace(**{"blendshapes.A": 3})
     builder = ResultBuilder(actor, parameters, 1)
     frame = tracked_frame(actor, 0)
     object.__setattr__(frame, "coefficients", frame.coefficients[:3])

@@ -114,7 +114,7 @@ def test_resolve_minimises_its_energy():
 def test_export_solves_with_the_parameters_of_the_run(scene, changes):
     """With the actor's rig beside it, a result gives the coefficients that its own tracker found."""
     actor, result, _ = scene
-    parameters = Parameters().set(**{f"blendshapes.{name}": value for name, value in changes.items()})
+    parameters = Parameters().replace(**{f"blendshapes.{name}": value for name, value in changes.items()})
     fit = BlendshapeFit(actor, parameters.blendshapes)
     meshes = result.head_vertices
     meshes[0] = 2 * actor.neutral - meshes[3]  # an expression the other way

@@ -61,7 +61,7 @@ def test_tracks_learns_and_beats_the_blendshapes(scene):
 
 def test_learning_off_keeps_the_adaptive_space_empty(scene):
     actor, frames, *_ = scene
-    tracker = FaceTracker(actor, Parameters().set(adaptive_pca__learn=False))
+    tracker = FaceTracker(actor, Parameters().replace(adaptive_pca__learn=False))
     results = [tracker.track(f) for f in frames[:20]]
     assert tracker.model.correctives.shape[1] == 0 and results[-1].corrective_updates == 0
     np.testing.assert_allclose(results[15].adaptive_distance, results[15].anchor_distance)
@@ -115,7 +115,7 @@ def test_a_hidden_face_has_a_state_of_its_own(scene, what):
     assert result.tracked and result.sample_state is SampleState.HIDDEN and int(result.sample_state) == 4
     assert result.corrective_updates == updates
     assert tracker.track(frames[11]).sample_state in (SampleState.LEARNED, SampleState.IN_ANCHOR_SPACE)
-    allowed = Parameters().set(adaptive_pca__min_coverage=0.0, adaptive_pca__max_occluded=1.0)
+    allowed = Parameters().replace(adaptive_pca__min_coverage=0.0, adaptive_pca__max_occluded=1.0)
     tracker = FaceTracker(actor, allowed)
     for frame in frames[:10]:
         tracker.track(frame)

@@ -40,7 +40,7 @@ def in_the_browser(slider, value: float) -> float:
     [
         Parameters(),
         Parameters.paper(),
-        Parameters().set(
+        Parameters().replace(
             blendshapes__sparsity=1 / 3,
             laplacian__w2=7.123,
             rigid__max_correspondence_distance=17.25,

@@ -74,7 +74,7 @@ def test_the_chart_of_coefficients_follows_the_jaw_and_the_number_of_expressions
     jaws, last = lines(replay).values()
     np.testing.assert_allclose(jaws, [jaw(i) for i in range(6)], atol=0.1)
     assert np.isfinite(last).all()
-    fewer = views.Replay(session.frames, session.actor, views.Parameters().set(blendshapes__A=5))
+    fewer = views.Replay(session.frames, session.actor, views.Parameters().replace(blendshapes__A=5))
     fewer.run()
     jaws, last = lines(fewer).values()
     assert np.isfinite(jaws).all() and np.isnan(last).all()

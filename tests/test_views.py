@@ -71,7 +71,7 @@ def test_panel_shows_every_parameter_with_its_default():
 
 def test_sliders_reach_both_ends_of_their_range_and_the_papers_value(strict):
     seen = []
-    start = Parameters().set(adaptive_pca__valid_min=0.0, adaptive_pca__valid_max=1e6)  # an order of their own
+    start = Parameters().replace(adaptive_pca__valid_min=0.0, adaptive_pca__valid_max=1e6)  # an order of their own
     panel = views.ParameterPanel(["laplacian", "adaptive_pca"], seen.append, start)
     for row in describe():
         name = f"{row['stage']}.{row['name']}"
@@ -402,7 +402,7 @@ def test_replay_equals_a_plain_tracker(session):
 
 @pytest.mark.parametrize("changes", [{}, {"blendshapes__A": 5}, {"adaptive_pca__K": 0}])
 def test_kept_results_are_the_trackers_in_less_than_half_the_memory(session, changes):
-    parameters = Parameters().set(**changes)
+    parameters = Parameters().replace(**changes)
     blind = dataclasses.replace(session.frames[3], features=None, depth=np.zeros_like(session.frames[3].depth))
     frames = [*session.frames[:3], blind, *session.frames[4:6]]
     tracker, results = FaceTracker(session.actor, parameters), views.Replay(frames, session.actor, parameters).run()
@@ -426,7 +426,7 @@ def test_kept_results_are_the_trackers_in_less_than_half_the_memory(session, cha
 )
 def test_trackers_of_the_past_are_what_they_were(session, changes):
     """Their correctives are made of samples again, also where the buffer has gone round."""
-    parameters = Parameters().set(adaptive_pca__K=2, adaptive_pca__valid_min=0.001).set(**changes)
+    parameters = Parameters().replace(adaptive_pca__K=2, adaptive_pca__valid_min=0.001).replace(**changes)
     replay = views.Replay(session.frames, session.actor, parameters)
     replay.run()
     tracker, past = FaceTracker(session.actor, parameters), []
@@ -443,7 +443,7 @@ def test_trackers_of_the_past_are_what_they_were(session, changes):
 
 @pytest.mark.parametrize("changes", [{"laplacian__final_w2": 50.0}, {"laplacian__final_feature_weight": 0.5}])
 def test_preview_is_exact_where_earlier_frames_do_not_depend_on_the_parameter(session, changes):
-    replay, parameters = views.Replay(session.frames, session.actor), Parameters().set(**changes)
+    replay, parameters = views.Replay(session.frames, session.actor), Parameters().replace(**changes)
     replay.run()
     preview = replay.preview(parameters, 9)
     exact = views.Replay(session.frames, session.actor, parameters).run()[9]
@@ -454,11 +454,11 @@ def test_preview_is_exact_where_earlier_frames_do_not_depend_on_the_parameter(se
 def test_preview_of_k_learns_again_from_the_earlier_frames(session):
     replay = views.Replay(session.frames, session.actor)
     replay.run()
-    parameters = Parameters().set(adaptive_pca__K=1)
+    parameters = Parameters().replace(adaptive_pca__K=1)
     exact = views.Replay(session.frames, session.actor, parameters).run()[9]
     np.testing.assert_allclose(replay.preview(parameters, 9).v3, exact.v3, atol=1e-4)
     before = replay.tracker.model.correctives.copy()
-    replay.preview(Parameters().set(adaptive_pca__K=3, laplacian__w2=9.0), 5)
+    replay.preview(Parameters().replace(adaptive_pca__K=3, laplacian__w2=9.0), 5)
     assert np.array_equal(before, replay.tracker.model.correctives), "a preview leaves the learned model alone"
 
 
@@ -475,7 +475,7 @@ CHANGES = [
 def test_preview_answers_for_every_stage(session, changes):
     replay = views.Replay(session.frames, session.actor)
     replay.run()
-    result = replay.preview(Parameters().set(**changes), 8)
+    result = replay.preview(Parameters().replace(**changes), 8)
     assert result.tracked and not np.array_equal(result.v4, replay.results[8].v4)
 
 
@@ -489,7 +489,7 @@ FOLLOWED = [
 @pytest.mark.parametrize("changes, has_it", FOLLOWED)
 def test_frames_on_show_follow_a_change_before_the_background_run_does(session, changes, has_it):
     """A slider that moves during playback: the next frames are drawn with its value, not with the old one."""
-    parameters = Parameters().set(**changes)
+    parameters = Parameters().replace(**changes)
 
     async def scenario() -> None:
         replay = views.Replay(session.frames, session.actor)
@@ -505,7 +505,7 @@ def test_frames_on_show_follow_a_change_before_the_background_run_does(session, 
 
 
 def test_change_recomputes_everything_in_the_background(session):
-    parameters = Parameters().set(laplacian__w2=40.0)
+    parameters = Parameters().replace(laplacian__w2=40.0)
 
     async def scenario() -> views.Replay:
         finished = []
@@ -513,7 +513,7 @@ def test_change_recomputes_everything_in_the_background(session):
         replay.run()
         old = replay.results[:]
         for w2 in (7.0, 20.0, 40.0):  # a moving slider: only the last value is worth the whole performance
-            replay.change(parameters.set(laplacian__w2=w2), 6)
+            replay.change(parameters.replace(laplacian__w2=w2), 6)
             await asyncio.sleep(0.01)
         assert not same(replay.results[6], old[6]) and replay.busy
         await replay.finished()
@@ -545,7 +545,7 @@ def test_the_sliders_of_a_workbench_end_at_the_actors_expressions(session, stric
     slider = bench.panel["blendshapes.A"]
     assert (slider.value, slider.max, bench.parameters) == (9, 9, Parameters())
     bench.set(blendshapes__ridge=5.0)
-    assert bench.parameters == Parameters().set(blendshapes__ridge=5.0)
+    assert bench.parameters == Parameters().replace(blendshapes__ridge=5.0)
     bench.close()
 
 
@@ -730,7 +730,7 @@ def test_printed_equation_ignores_its_weights_and_the_weighted_one_does_not(sess
     np.testing.assert_allclose(printed.deform(frame, result, 1e-4, 1e4), reference, atol=1e-9)
     frontal, sizes = session.actor.frontal, []
     for w2 in (0.01, 1e4):
-        deformed = replay.preview(Parameters().set(laplacian__w2=w2), 8)
+        deformed = replay.preview(Parameters().replace(laplacian__w2=w2), 8)
         sizes.append(np.linalg.norm((deformed.v2 - deformed.v1)[frontal], axis=1).mean())
     assert sizes[0] > 5 * sizes[1]
 
@@ -779,7 +779,9 @@ def test_error_in_the_hole_counts_what_lost_its_depth(session):
 
 
 def test_incremental_correctives_lie_near_the_batch_pca(session):
-    replay = views.Replay(session.frames * 3, session.actor, Parameters().set(adaptive_pca__K=2, adaptive_pca__valid_min=0.01))
+    replay = views.Replay(
+        session.frames * 3, session.actor, Parameters().replace(adaptive_pca__K=2, adaptive_pca__valid_min=0.01)
+    )
     replay.run()
     samples = replay.model_after(35).buffer()
     assert len(samples) > 20

@@ -343,7 +343,7 @@ def test_a_live_session_on_colour_only_says_so_and_tracks(clip, detector, averag
         result = session.latest(timeout=60)
         assert result is not None and result.tracked.tracked
         assert result.tracked.sample_state is SampleState.IN_ANCHOR_SPACE and np.isnan(result.tracked.residual)
-        session.set_parameters(Parameters().set(blendshapes__A=10, laplacian__final_w2=20.0))
+        session.set_parameters(Parameters().replace(blendshapes__A=10, laplacian__final_w2=20.0))
         later = session.latest(after=result.index + 2, timeout=60)
         assert later is not None and later.tracked.tracked and len(later.tracked.coefficients) in (10, 23)
         assert np.isnan(later.tracked.residual)

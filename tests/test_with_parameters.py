@@ -14,7 +14,7 @@ from adaptiveface.tracking.retune import retuned
 from adaptiveface.tracking.tracker import FaceTracker
 
 #: Everything is worth learning: the frames are rendered from the rig itself.
-START = Parameters().set(adaptive_pca__valid_min=0.0, adaptive_pca__K=5, adaptive_pca__S=12)
+START = Parameters().replace(adaptive_pca__valid_min=0.0, adaptive_pca__K=5, adaptive_pca__S=12)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def tracker(frames):
     ],
 )
 def test_the_next_frame_is_what_a_new_tracker_put_there_would_make_of_it(tracker, frames, change):
-    parameters = START.set(**change)
+    parameters = START.replace(**change)
     fresh = FaceTracker(tracker.actor, parameters)
     x = tracker.state.coefficients[: len(fresh.state.coefficients)]
     keeps_filter = "kalman__model" not in change and len(x) == len(tracker.state.coefficients)
@@ -71,7 +71,7 @@ def test_fewer_or_more_correctives_are_the_principal_ones_of_the_buffer(tracker)
     assert samples.shape == (12, tracker.model.anchors.shape[0])
     _, _, rows = np.linalg.svd(samples - (samples @ tracker.model.anchors) @ tracker.model.anchors.T, full_matrices=False)
     for k in (2, 4, 8):
-        model = tracker.with_parameters(START.set(adaptive_pca__K=k)).model
+        model = tracker.with_parameters(START.replace(adaptive_pca__K=k)).model
         assert model.correctives.shape[1] == k and model.count == 12 and model.updates == tracker.model.updates
         cosines = np.linalg.svd(rows[:k] @ model.correctives, compute_uv=False)
         assert cosines.min() > 0.9999
@@ -81,7 +81,7 @@ def test_fewer_or_more_correctives_are_the_principal_ones_of_the_buffer(tracker)
 
 def test_a_smaller_buffer_keeps_the_newest_samples_and_learning_goes_on(tracker, frames):
     newest = tracker.model.samples()[-8:]
-    changed = tracker.with_parameters(START.set(adaptive_pca__S=8, adaptive_pca__buffer="newest"))
+    changed = tracker.with_parameters(START.replace(adaptive_pca__S=8, adaptive_pca__buffer="newest"))
     np.testing.assert_allclose(changed.model.samples(), newest, atol=1e-3)
     assert changed.model.correctives.shape[1] == 5
     before = changed.model.updates
@@ -89,7 +89,7 @@ def test_a_smaller_buffer_keeps_the_newest_samples_and_learning_goes_on(tracker,
 
 
 def test_other_expressions_keep_head_and_samples(tracker, frames):
-    changed = tracker.with_parameters(START.set(blendshapes__A=6))
+    changed = tracker.with_parameters(START.replace(blendshapes__A=6))
     assert np.array_equal(changed.pose, tracker.pose) and changed.model.count > 0
     assert len(changed.track(frames[-1]).coefficients) == 6
 
@@ -106,13 +106,13 @@ def test_relearning_gives_the_subspace_that_em_converges_to(tracker):
 
 def test_nothing_learned_stays_nothing_and_no_correctives_are_possible(tracker):
     empty = FaceTracker(tracker.actor, START)
-    assert empty.with_parameters(START.set(adaptive_pca__K=3)).model.correctives.shape[1] == 0
-    assert tracker.with_parameters(START.set(adaptive_pca__K=0)).model.correctives.shape[1] == 0
+    assert empty.with_parameters(START.replace(adaptive_pca__K=3)).model.correctives.shape[1] == 0
+    assert tracker.with_parameters(START.replace(adaptive_pca__K=0)).model.correctives.shape[1] == 0
 
 
 def test_the_old_name_still_works_and_says_so(tracker):
     with pytest.warns(DeprecationWarning, match="with_parameters"):
-        changed = retuned(tracker, START.set(laplacian__w2=3.0))
+        changed = retuned(tracker, START.replace(laplacian__w2=3.0))
     assert changed.parameters.laplacian.w2 == 3.0 and np.array_equal(changed.pose, tracker.pose)
 
 
@@ -127,5 +127,5 @@ def test_only_what_changed_is_made_again(tracker):
         "blendshapes.A": {"blendshapes", "rigid"},
     }
     for name, made in changes.items():
-        changed = tracker.with_parameters(START.set(**{name: 4 if name != "kalman.process_noise" else 0.1}))
+        changed = tracker.with_parameters(START.replace(**{name: 4 if name != "kalman.process_noise" else 0.1}))
         assert {stage for stage in stages if getattr(changed, stage) is not getattr(tracker, stage)} == made

@@ -86,7 +86,8 @@ class StageSet:
         return cls(**stages)
 
     def set(self, **values: Any) -> Self:
-        """The earlier name of :meth:`replace`, which does not sound as if this object changed."""
+        """The earlier name of :meth:`replace`; it works for one more version, with a ``DeprecationWarning``."""
+        warn(f"{type(self).__name__}.set", "replace")
         return self.replace(**values)
 
     def replace(self, **values: Any) -> Self:

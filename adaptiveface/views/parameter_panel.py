@@ -82,7 +82,7 @@ class ParameterPanel:
         values = {Parameters.current_name(name): value for name, value in values.items()}
         wanted = None
         with self._errors_shown():
-            wanted = self.parameters.set(**values)
+            wanted = self.parameters.replace(**values)
         if wanted is not None:
             self._show({name: _value(wanted, name) for name in values})
             self._apply_on_main()
@@ -162,7 +162,7 @@ class ParameterPanel:
         with self._errors_shown():
             changed = {name: v for name in self.controls if (v := self._shown(name)) != _value(self.parameters, name)}
             if changed:
-                parameters = self.parameters.set(**changed)
+                parameters = self.parameters.replace(**changed)
                 self.on_change(parameters)
                 self.parameters = parameters
 

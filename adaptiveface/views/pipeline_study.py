@@ -39,7 +39,7 @@ class AblationView(Displayed):
         for variant in self.variants:
             key = tuple(variant.changes.items())
             if key not in runs:
-                runs[key] = Replay(self.frames, session.actor, parameters.set(**variant.changes))
+                runs[key] = Replay(self.frames, session.actor, parameters.replace(**variant.changes))
                 runs[key].run()
         self._runs = [runs[tuple(variant.changes.items())] for variant in self.variants]
         columns = min(3, len(self.variants))
@@ -106,7 +106,7 @@ def sweep(
     row_values, column_values, base = list(row_values), list(column_values), parameters or Parameters()
     out = np.full((len(row_values), len(column_values)), np.nan)
     cells = list(itertools.product(range(len(row_values)), range(len(column_values))))
-    settings = [base.set(**{row_name: row_values[r], column_name: column_values[c]}) for r, c in cells]
+    settings = [base.replace(**{row_name: row_values[r], column_name: column_values[c]}) for r, c in cells]
     _ = session.actor  # captured once, before it is sent anywhere
     for (r, c), value in tqdm(_computed(session, cells, settings, measure, client), total=len(cells), desc="sweep", unit="run"):
         out[r, c] = value

@@ -140,7 +140,7 @@ class Replay:
         if start is None:
             return self.make_tracker(self.actor, parameters).track(self.frames[index])
         # The copy shares the sample buffer, which the background run fills: for one frame, and without learning.
-        tracker = start.with_parameters(parameters.set(adaptive_pca__learn=False), relearn=False)
+        tracker = start.with_parameters(parameters.replace(adaptive_pca__learn=False), relearn=False)
         if parameters.adaptive_pca != start.parameters.adaptive_pca:
             tracker.model = self._relearned(tracker, parameters, index)
         self._previewer = parameters, tracker.copy()

@@ -144,7 +144,7 @@ __all__ = ["IcpRun", "IcpStudy", "depth_points", "displaced", "rotation_angle", 
 def pose_errors(session: Session, **changes) -> np.ndarray:
     """(F, 2) error of the head pose of every tracked frame, mm and degrees, with parameters ``stage__name=value``."""
     truth, actor = session.truth, session.actor
-    replay = Replay(session.frames, actor, Parameters().set(**changes))
+    replay = Replay(session.frames, actor, Parameters().replace(**changes))
     alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
     centre = truth.neutral[actor.frontal].mean(axis=0)
     return np.array(
