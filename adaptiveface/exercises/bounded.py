@@ -11,11 +11,6 @@ from ..tracking.expression import BlendshapeFit
 from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
 
-TASK = (
-    "bounded_least_squares(h, g, lower, upper): h (A, A) symmetric positive definite, g, lower, upper (A,) -> x (A,) that "
-    "minimises x^T h x / 2 - g^T x with lower <= x <= upper."
-)
-
 
 @drawn(seed=4, count=8)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -145,25 +140,27 @@ MISTAKES = (
         lambda h, g, lower, upper: truth(h + np.diag(np.diag(h)), g, lower, upper),
     ),
 )
-HINTS = (
-    "Hold all coefficients but one. Where is the minimum over that one, and where is its best allowed value?",
-    "Go through the coefficients one by one, move each to the minimum over it alone and from there to the nearest bound. "
-    "Repeat until none moves any more.",
-    "x_i <- clip(x_i + (g_i - h_i . x) / h_ii, lower_i, upper_i), for all i, again and again.",
-)
 
 BOUNDED_LEAST_SQUARES = Exercise(
     "bounded_least_squares",
     "04_blendshape_fit",
-    TASK,
-    HINTS,
-    MISTAKES,
-    cases,
-    truth,
-    parse,
-    near,
-    describe,
-    make_stages,
-    faults,
+    task=(
+        "bounded_least_squares(h, g, lower, upper): h (A, A) symmetric positive definite, g, lower, upper (A,) -> x (A,) that "
+        "minimises x^T h x / 2 - g^T x with lower <= x <= upper."
+    ),
+    hints=(
+        "Hold all coefficients but one. Where is the minimum over that one, and where is its best allowed value?",
+        "Go through the coefficients one by one, move each to the minimum over it alone and from there to the nearest bound. "
+        "Repeat until none moves any more.",
+        "x_i <- clip(x_i + (g_i - h_i . x) / h_ii, lower_i, upper_i), for all i, again and again.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=truth,
+    parse=parse,
+    near=near,
+    describe=describe,
+    make_stages=make_stages,
+    faults=faults,
     iterative=True,
 )

@@ -7,12 +7,6 @@ import numpy as np
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
 from .pairs import close
 
-TASK = (
-    "brightness_step(picture, known, gradients, weights, rest): what the picture shows at n samples and what is known of their "
-    "skin (n,), the picture's gradients (n, 2) per px along u and v, weights (n,), rest a number -> the shift d (2,) px that "
-    "minimises sum_q w_q (picture_q + gradients_q . d - known_q)^2 + rest |d|^2."
-)
-
 
 @drawn(seed=11, count=6)
 def random_cases(rng: np.random.Generator, number: int) -> Case:
@@ -116,14 +110,25 @@ MISTAKES = (
     Mistake("the gradients were scaled to unit length: strong edges know more than weak ones", _with(gradients=_unit)),
     Mistake("half the step came back: the derivative of a square is 2, on both sides", lambda **case: 0.5 * solve(**case)),
 )
-HINTS = (
-    "How does one sample's difference change when the shift grows by a little along u? That is its row. How many unknowns do "
-    "all samples share?",
-    "Set the derivative of the energy to zero: a 2 x 2 system, with the sum of weighted outer products of the gradients, and "
-    "rest on its diagonal.",
-    "(sum w g g^T + rest I) d = sum w g (known - picture).",
-)
 
 BRIGHTNESS_STEP = Exercise(
-    "brightness_step", "05_laplacian_deformation", TASK, HINTS, MISTAKES, random_cases, solve, parse, close
+    "brightness_step",
+    "05_laplacian_deformation",
+    task=(
+        "brightness_step(picture, known, gradients, weights, rest): what the picture shows at n samples and what is known of "
+        "their skin (n,), the picture's gradients (n, 2) per px along u and v, weights (n,), rest a number -> the shift d "
+        "(2,) px that minimises sum_q w_q (picture_q + gradients_q . d - known_q)^2 + rest |d|^2."
+    ),
+    hints=(
+        "How does one sample's difference change when the shift grows by a little along u? That is its row. How many unknowns "
+        "do all samples share?",
+        "Set the derivative of the energy to zero: a 2 x 2 system, with the sum of weighted outer products of the gradients, "
+        "and rest on its diagonal.",
+        "(sum w g g^T + rest I) d = sum w g (known - picture).",
+    ),
+    mistakes=MISTAKES,
+    cases=random_cases,
+    truth=solve,
+    parse=parse,
+    near=close,
 )

@@ -9,12 +9,6 @@ from ..geometry.mesh import cotangent_laplacian, vertex_areas
 from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
-TASK = (
-    "cotangent_matrix(vertices, triangles): vertices (N, 3), triangles (T, 3) -> L (N, N), dense or sparse, with (L f)_i = "
-    "sum_j w_ij (f_i - f_j) and w_ij = (cot alpha + cot beta) / 2, where alpha and beta lie opposite the edge ij in its two "
-    "triangles. An edge at the border has one triangle and one cotangent."
-)
-
 
 @drawn(seed=15, count=5)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -141,13 +135,25 @@ MISTAKES = (
         _by(lambda u, v, edge: 1 / np.linalg.norm(edge, axis=1), half=1.0, add=False),
     ),
 )
-HINTS = (
-    "Work triangle by triangle. Each of its three angles lies opposite one of its edges.",
-    "For each corner o with the edge ij opposite: add half the cotangent of its angle to the weight of ij, then fill L_ij, "
-    "L_ji, L_ii and L_jj.",
-    "cot = u.v / |u x v| with u = x_i - x_o, v = x_j - x_o; take cot / 2 away from L_ij and L_ji, add it to L_ii and L_jj.",
-)
 
 COTANGENT_MATRIX = Exercise(
-    "cotangent_matrix", "05_laplacian_deformation", TASK, HINTS, MISTAKES, cases, truth, parse, close, faults=faults
+    "cotangent_matrix",
+    "05_laplacian_deformation",
+    task=(
+        "cotangent_matrix(vertices, triangles): vertices (N, 3), triangles (T, 3) -> L (N, N), dense or sparse, with (L f)_i "
+        "= sum_j w_ij (f_i - f_j) and w_ij = (cot alpha + cot beta) / 2, where alpha and beta lie opposite the edge ij in its "
+        "two triangles. An edge at the border has one triangle and one cotangent."
+    ),
+    hints=(
+        "Work triangle by triangle. Each of its three angles lies opposite one of its edges.",
+        "For each corner o with the edge ij opposite: add half the cotangent of its angle to the weight of ij, then fill "
+        "L_ij, L_ji, L_ii and L_jj.",
+        "cot = u.v / |u x v| with u = x_i - x_o, v = x_j - x_o; take cot / 2 away from L_ij and L_ji, add it to L_ii and L_jj.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=truth,
+    parse=parse,
+    near=close,
+    faults=faults,
 )

@@ -11,11 +11,6 @@ from ..tracking.adaptive_pca import AdaptiveModel, e_step, m_step
 from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn, scale_hint
 
-TASK = (
-    "em_step(correctives, samples): M (d, k) and S (d, s) -> (Y, M): the E-step's coefficients Y (k, s) of the samples for the "
-    "M that came in, and the M-step's new M (d, k), its columns made orthonormal. M need not be orthonormal when it comes in."
-)
-
 
 @drawn(seed=6, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -163,27 +158,30 @@ MISTAKES = (
         _with(e_step=lambda m, s: e_step(m, s) / s.shape[1]),
     ),
 )
-HINTS = (
-    "Two least-squares problems in turn: the best coefficients for the shapes, then the best shapes for the coefficients.",
-    "E-step: fit every sample by the columns of M, which need not be orthonormal. M-step: fit the samples by the coefficients. "
-    "Then make the columns orthonormal.",
-    "Y = (M^T M)^-1 M^T S, M <- S Y^T (Y Y^T)^-1, M <- Q of its QR factorisation.",
-)
 
 # Few shapes, so that the short performance has more samples than shapes: before that, EM only turns the basis.
 _FEW_SHAPES = Parameters().replace(adaptive_pca__K=2)
 EM_STEP = Exercise(
     "em_step",
     "06_incremental_pca",
-    TASK,
-    HINTS,
-    MISTAKES,
-    cases,
-    truth,
-    parse,
-    near,
-    describe,
-    make_stages,
-    faults,
-    _FEW_SHAPES,
+    task=(
+        "em_step(correctives, samples): M (d, k) and S (d, s) -> (Y, M): the E-step's coefficients Y (k, s) of the samples "
+        "for the M that came in, and the M-step's new M (d, k), its columns made orthonormal. M need not be orthonormal when "
+        "it comes in."
+    ),
+    hints=(
+        "Two least-squares problems in turn: the best coefficients for the shapes, then the best shapes for the coefficients.",
+        "E-step: fit every sample by the columns of M, which need not be orthonormal. M-step: fit the samples by the "
+        "coefficients. Then make the columns orthonormal.",
+        "Y = (M^T M)^-1 M^T S, M <- S Y^T (Y Y^T)^-1, M <- Q of its QR factorisation.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=truth,
+    parse=parse,
+    near=near,
+    describe=describe,
+    make_stages=make_stages,
+    faults=faults,
+    parameters=_FEW_SHAPES,
 )

@@ -106,14 +106,40 @@ class Report:
 
 @dataclass(frozen=True)
 class Exercise:
-    """One exercise. The package's side of it:
+    """One exercise: its words for the learner, and the package's side, which grades an answer.
 
-    ``cases`` makes the random cases; ``truth(**case)`` the exact answer; ``parse(answer, case)`` brings an answer to a
-    comparable form or raises :class:`Wrong`; ``faults(answer, case)`` names broken properties; ``near(a, b, case)``
-    tells whether two parsed answers are the same; ``describe(answer, truth, case)`` says how far an unknown wrong one
-    is off; ``make_stages(function)``: the tracker's stages, of which one calls the function, None where no stage does;
-    ``hints``: three steps, of which only the last holds a formula; ``iterative``: people solve it by iterations,
-    which may diverge; ``notebook``: where it is asked; ``limit``: seconds that one call may take.
+    Attributes
+    ----------
+    name : str
+        Of the function that the learner writes.
+    notebook : str
+        Where the exercise is set.
+    task : str
+        The function's signature, its arrays with their shapes, and what it returns.
+    hints : tuple of str
+        Three steps, of which only the last one holds a formula.
+    mistakes : tuple of Mistake
+        Wrong answers that are recognised.
+    cases : callable
+        Makes the random cases.
+    truth : callable
+        ``truth(**case)`` is the exact answer.
+    parse : callable
+        ``parse(answer, case)`` brings an answer to a comparable form or raises :class:`Wrong`.
+    near : callable
+        ``near(a, b, case)`` tells whether two parsed answers are the same.
+    describe : callable
+        ``describe(answer, truth, case)`` says how far an unknown wrong answer is off.
+    make_stages : callable or None
+        ``make_stages(function)``: the tracker's stages, one of which calls the function. None where no stage does.
+    faults : callable
+        ``faults(answer, case)`` names broken properties.
+    parameters : Parameters or None
+        With which the tracker runs on the function; our defaults where it is None.
+    iterative : bool
+        Whether people solve it by iterations, which may diverge.
+    limit : float
+        Seconds that one call may take.
     """
 
     name: str

@@ -7,12 +7,6 @@ import numpy as np
 from .grading import Case, Exercise, Mistake, as_array, drawn, switched
 from .pairs import close
 
-TASK = (
-    "identity_step(jacobian, distances, sigma, identity): jacobian (m, k) of m point-to-plane distances (m,) mm by k identity "
-    "coefficients, sigma the standard deviation of a distance in mm, identity (k,) the present coefficients in standard "
-    "deviations -> the change (k,) that minimises |distances + jacobian change|^2 / sigma^2 + |identity + change|^2."
-)
-
 
 @drawn(seed=12, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -69,11 +63,25 @@ MISTAKES = (
         ),
     ),
 )
-HINTS = (
-    "Both terms are squares that are linear in the change. What is the derivative of each?",
-    "Set the derivative of the sum to zero. The prior speaks about identity + change, so it adds to the matrix and to the "
-    "right-hand side.",
-    "(J^T J / sigma^2 + I) change = -(J^T distances / sigma^2 + identity).",
-)
 
-IDENTITY_STEP = Exercise("identity_step", "01_neutral_scan", TASK, HINTS, MISTAKES, cases, identity_step, parse, close)
+IDENTITY_STEP = Exercise(
+    "identity_step",
+    "01_neutral_scan",
+    task=(
+        "identity_step(jacobian, distances, sigma, identity): jacobian (m, k) of m point-to-plane distances (m,) mm by k "
+        "identity coefficients, sigma the standard deviation of a distance in mm, identity (k,) the present coefficients in "
+        "standard deviations -> the change (k,) that minimises |distances + jacobian change|^2 / sigma^2 + |identity + "
+        "change|^2."
+    ),
+    hints=(
+        "Both terms are squares that are linear in the change. What is the derivative of each?",
+        "Set the derivative of the sum to zero. The prior speaks about identity + change, so it adds to the matrix and to the "
+        "right-hand side.",
+        "(J^T J / sigma^2 + I) change = -(J^T distances / sigma^2 + identity).",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=identity_step,
+    parse=parse,
+    near=close,
+)

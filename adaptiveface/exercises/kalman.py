@@ -9,13 +9,6 @@ from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, drawn, switched
 from .pairs import close, packed
 
-TASK = (
-    "kalman_step(state, covariance, measured, process_noise, measurement_noise): state (2, A), the A coefficients and their "
-    "velocities per frame; covariance (2, 2), the same for every coefficient; measured (A,); two variances -> (state, "
-    "covariance) after the frame. The transition is [[1, 1], [0, 1]], the process noise is added to both entries of the "
-    "covariance's diagonal, and only the coefficient is measured."
-)
-
 
 @drawn(seed=14, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -103,13 +96,26 @@ MISTAKES = (
         lambda **c: (np.stack([c["measured"], kalman_step(**c)[0][1]]), kalman_step(**c)[1]),
     ),
 )
-HINTS = (
-    "A Kalman filter has two halves. The first needs no measurement.",
-    "Predict state and covariance with the transition and add the process noise. Then weigh prediction against measurement "
-    "by their variances, and correct both state and covariance.",
-    "x = F x, P = F P F^T + q I; k = P[:, 0] / (P[0, 0] + r); x <- x + k (z - x[0]), P <- P - k P[0].",
-)
 
 KALMAN_STEP = Exercise(
-    "kalman_step", "04_blendshape_fit", TASK, HINTS, MISTAKES, cases, kalman_step, parse, close, make_stages=make_stages
+    "kalman_step",
+    "04_blendshape_fit",
+    task=(
+        "kalman_step(state, covariance, measured, process_noise, measurement_noise): state (2, A), the A coefficients and "
+        "their velocities per frame; covariance (2, 2), the same for every coefficient; measured (A,); two variances -> "
+        "(state, covariance) after the frame. The transition is [[1, 1], [0, 1]], the process noise is added to both entries "
+        "of the covariance's diagonal, and only the coefficient is measured."
+    ),
+    hints=(
+        "A Kalman filter has two halves. The first needs no measurement.",
+        "Predict state and covariance with the transition and add the process noise. Then weigh prediction against "
+        "measurement by their variances, and correct both state and covariance.",
+        "x = F x, P = F P F^T + q I; k = P[:, 0] / (P[0, 0] + r); x <- x + k (z - x[0]), P <- P - k P[0].",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=kalman_step,
+    parse=parse,
+    near=close,
+    make_stages=make_stages,
 )

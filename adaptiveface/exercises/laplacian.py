@@ -11,12 +11,6 @@ from ..tracking.laplacian import LaplacianDeformation
 from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, as_array, drawn, scale_hint
 
-TASK = (
-    "right_hand_side(distances, normals, weights, w1, features): b (n, 3) of A d = b, the minimum of w1 sum_i weights_i "
-    "(normals_i . d_i + distances_i)^2 + w2 |L d|^2 + sum_f,r features.weights_fr (rows_fr . e_f - targets_fr)^2, where e_f = "
-    "sum_k shares_fk d[corners_fk] is how far the feature's point moves. A holds everything that multiplies d; b the rest."
-)
-
 
 @dataclass(frozen=True)
 class FeaturePull:
@@ -222,13 +216,27 @@ MISTAKES = (
     ),
 )
 
-HINTS = (
-    "Half the derivative of each square is its row times its value. Which of them still hold no d?",
-    "Depth: each vertex is pulled along its normal. Features: each row pulls the feature's point, and its three corners share "
-    "the pull by their barycentric weights. Corners may be shared: add, do not assign.",
-    "b_i = -w1 weights_i distances_i normals_i, and b[corner_fk] += shares_fk sum_r weights_fr targets_fr rows_fr.",
-)
 
 RIGHT_HAND_SIDE = Exercise(
-    "right_hand_side", "05_laplacian_deformation", TASK, HINTS, MISTAKES, cases, truth, parse, near, describe, make_stages
+    "right_hand_side",
+    "05_laplacian_deformation",
+    task=(
+        "right_hand_side(distances, normals, weights, w1, features): b (n, 3) of A d = b, the minimum of w1 sum_i weights_i "
+        "(normals_i . d_i + distances_i)^2 + w2 |L d|^2 + sum_f,r features.weights_fr (rows_fr . e_f - targets_fr)^2, where "
+        "e_f = sum_k shares_fk d[corners_fk] is how far the feature's point moves. A holds everything that multiplies d; b "
+        "the rest."
+    ),
+    hints=(
+        "Half the derivative of each square is its row times its value. Which of them still hold no d?",
+        "Depth: each vertex is pulled along its normal. Features: each row pulls the feature's point, and its three corners "
+        "share the pull by their barycentric weights. Corners may be shared: add, do not assign.",
+        "b_i = -w1 weights_i distances_i normals_i, and b[corner_fk] += shares_fk sum_r weights_fr targets_fr rows_fr.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=truth,
+    parse=parse,
+    near=near,
+    describe=describe,
+    make_stages=make_stages,
 )

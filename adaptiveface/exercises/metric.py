@@ -7,13 +7,6 @@ import numpy as np
 from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
-TASK = (
-    "active_share(tracked, true, threshold): tracked and true (F, n, 3), the motion of n vertices from the neutral in F "
-    "frames, mm -> one number: the summed length of the error over the summed length of the true motion, both over the "
-    "pairs of frame and vertex whose true motion is longer than threshold mm. A perfect tracker scores 0. A perfect "
-    "neutral that never moves scores 1, though its distance to the true surface may be small: skin slides along itself."
-)
-
 
 @drawn(seed=18, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -88,10 +81,24 @@ MISTAKES = (
         _measure(lambda e, m, t, g, h: np.array(np.abs(t - g).sum(axis=2)[m > h].sum() / m[m > h].sum())),
     ),
 )
-HINTS = (
-    "Which pairs of frame and vertex say something about following a motion? Choose them by the truth alone.",
-    "Take lengths of error and of true motion over the chosen pairs, add each up, and divide once at the end.",
-    "sum |tracked - true| / sum |true| over the pairs with |true| > threshold.",
-)
 
-ACTIVE_SHARE = Exercise("active_share", "08_evaluation", TASK, HINTS, MISTAKES, cases, truth, parse, close)
+ACTIVE_SHARE = Exercise(
+    "active_share",
+    "08_evaluation",
+    task=(
+        "active_share(tracked, true, threshold): tracked and true (F, n, 3), the motion of n vertices from the neutral in F "
+        "frames, mm -> one number: the summed length of the error over the summed length of the true motion, both over the "
+        "pairs of frame and vertex whose true motion is longer than threshold mm. A perfect tracker scores 0. A perfect "
+        "neutral that never moves scores 1, though its distance to the true surface may be small: skin slides along itself."
+    ),
+    hints=(
+        "Which pairs of frame and vertex say something about following a motion? Choose them by the truth alone.",
+        "Take lengths of error and of true motion over the chosen pairs, add each up, and divide once at the end.",
+        "sum |tracked - true| / sum |true| over the pairs with |true| > threshold.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=truth,
+    parse=parse,
+    near=close,
+)

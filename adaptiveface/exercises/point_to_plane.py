@@ -12,12 +12,6 @@ from ..tracking.rigid import RigidTracker
 from ..tracking.stages import Stages
 from .grading import Case, Exercise, Mistake, Wrong, as_array, drawn
 
-TASK = (
-    "point_to_plane_step(points, targets, normals, weights): points v_i (n, 3), the depth points p_i (n, 3) with unit normals "
-    "n_i (n, 3), weights w_i (n,) -> (rotation (3, 3), translation (3,)) such that points @ rotation.T + translation minimises "
-    "sum w_i (n_i . (v_i - p_i))^2, linearised in the rotation."
-)
-
 _TURNED_BACK = "the rotation turns the wrong way: it is the transpose, or the cross product is n x v instead of v x n"
 
 
@@ -204,14 +198,28 @@ MISTAKES = (
         lambda **case: about(case["points"].mean(axis=0), truth(**case)[0], np.zeros(3)),
     ),
 )
-HINTS = (
-    "A small rotation moves a point p by r x p, which is linear in r. Which six numbers are unknown?",
-    "Write the signed distance after the step as distance + row . (r, t), one row per correspondence, and solve the weighted "
-    "least squares. Turn about the points' centre, so that rotation and translation do not mix.",
-    "row_i = [(v_i - c) x n_i, n_i], J^T W J step = -J^T W d with d_i = n_i . (v_i - p_i); R = exp([r]x), translation = c + t "
-    "- R c.",
-)
 
 POINT_TO_PLANE_STEP = Exercise(
-    "point_to_plane_step", "03_rigid_tracking", TASK, HINTS, MISTAKES, cases, truth, parse, near, describe, make_stages, faults
+    "point_to_plane_step",
+    "03_rigid_tracking",
+    task=(
+        "point_to_plane_step(points, targets, normals, weights): points v_i (n, 3), the depth points p_i (n, 3) with unit "
+        "normals n_i (n, 3), weights w_i (n,) -> (rotation (3, 3), translation (3,)) such that points @ rotation.T + "
+        "translation minimises sum w_i (n_i . (v_i - p_i))^2, linearised in the rotation."
+    ),
+    hints=(
+        "A small rotation moves a point p by r x p, which is linear in r. Which six numbers are unknown?",
+        "Write the signed distance after the step as distance + row . (r, t), one row per correspondence, and solve the "
+        "weighted least squares. Turn about the points' centre, so that rotation and translation do not mix.",
+        "row_i = [(v_i - c) x n_i, n_i], J^T W J step = -J^T W d with d_i = n_i . (v_i - p_i); R = exp([r]x), translation = c "
+        "+ t - R c.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=truth,
+    parse=parse,
+    near=near,
+    describe=describe,
+    make_stages=make_stages,
+    faults=faults,
 )

@@ -7,13 +7,6 @@ import numpy as np
 from .grading import Case, Exercise, Mistake, drawn, switched
 from .pairs import close, packed
 
-TASK = (
-    "project(displacement, anchors, correctives, low, high): displacement (3n,) mm of v2 from the neutral, anchors (3n, a) "
-    "and correctives (3n, k), all columns orthonormal -> (projected (3n,), energy, valid): the projection onto both spaces "
-    "together; the squared norm in cm^2 of what the anchor space alone leaves over; and whether it lies between low and "
-    "high, bounds excluded."
-)
-
 
 @drawn(seed=17, count=9)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -75,10 +68,25 @@ MISTAKES = (
     ),
     Mistake("nothing was projected: the displacement came back", lambda **c: (c["displacement"], *project(**c)[1:])),
 )
-HINTS = (
-    "With orthonormal columns a projection needs no solve. Which space does each of the two questions ask about?",
-    "Project onto anchors and correctives and add. For the test take away the anchors' part only, and count in centimetres.",
-    "v = M_A M_A^T d + M_K M_K^T d; s = d - M_A M_A^T d; energy = s.s / 100; valid = low < energy < high.",
-)
 
-PROJECT = Exercise("project", "06_incremental_pca", TASK, HINTS, MISTAKES, cases, project, parse, close)
+PROJECT = Exercise(
+    "project",
+    "06_incremental_pca",
+    task=(
+        "project(displacement, anchors, correctives, low, high): displacement (3n,) mm of v2 from the neutral, anchors (3n, "
+        "a) and correctives (3n, k), all columns orthonormal -> (projected (3n,), energy, valid): the projection onto both "
+        "spaces together; the squared norm in cm^2 of what the anchor space alone leaves over; and whether it lies between "
+        "low and high, bounds excluded."
+    ),
+    hints=(
+        "With orthonormal columns a projection needs no solve. Which space does each of the two questions ask about?",
+        "Project onto anchors and correctives and add. For the test take away the anchors' part only, and count in "
+        "centimetres.",
+        "v = M_A M_A^T d + M_K M_K^T d; s = d - M_A M_A^T d; energy = s.s / 100; valid = low < energy < high.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=project,
+    parse=parse,
+    near=close,
+)

@@ -7,12 +7,6 @@ from scipy.optimize import lsq_linear
 
 from .grading import Case, Exercise, Mistake, as_array, drawn
 
-TASK = (
-    "resolve(basis, displacement, weights): basis (m, A), the expressions as columns, displacement (m,) of v4 from the "
-    "neutral, weights (A,) of the sparsity -> the coefficients x (A,), 0 <= x <= 1, that minimise |basis x - "
-    "displacement|^2 / 2 + sum_k weights_k x_k."
-)
-
 
 @drawn(seed=19, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -102,10 +96,27 @@ MISTAKES = (
         lambda **c: np.clip(solve(**c, upper=np.inf), 0, 1),
     ),
 )
-HINTS = (
-    "For coefficients that are not negative, the sum of weights times coefficients is linear. What does that do to the slope?",
-    "The weights only shift the right-hand side of the normal equations. What remains is the bounded problem of notebook 04.",
-    "minimise x^T H x / 2 - g^T x over 0 <= x <= 1 with H = B^T B and g = B^T d - w.",
-)
 
-RESOLVE = Exercise("resolve", "09_retargeting", TASK, HINTS, MISTAKES, cases, solve, parse, near, faults=faults, iterative=True)
+RESOLVE = Exercise(
+    "resolve",
+    "09_retargeting",
+    task=(
+        "resolve(basis, displacement, weights): basis (m, A), the expressions as columns, displacement (m,) of v4 from the "
+        "neutral, weights (A,) of the sparsity -> the coefficients x (A,), 0 <= x <= 1, that minimise |basis x - "
+        "displacement|^2 / 2 + sum_k weights_k x_k."
+    ),
+    hints=(
+        "For coefficients that are not negative, the sum of weights times coefficients is linear. What does that do to the "
+        "slope?",
+        "The weights only shift the right-hand side of the normal equations. What remains is the bounded problem of notebook "
+        "04.",
+        "minimise x^T H x / 2 - g^T x over 0 <= x <= 1 with H = B^T B and g = B^T d - w.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=solve,
+    parse=parse,
+    near=near,
+    faults=faults,
+    iterative=True,
+)

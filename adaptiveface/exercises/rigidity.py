@@ -7,11 +7,6 @@ import numpy as np
 from .grading import Case, Exercise, Mistake, as_array, drawn, switched
 from .pairs import close
 
-TASK = (
-    "rigidity(maps): (g, 3, 3) affine maps A of g graph nodes, with columns a1, a2, a3 -> (g,) the energy of each, (a1.a2)^2 "
-    "+ (a1.a3)^2 + (a2.a3)^2 + (1 - a1.a1)^2 + (1 - a2.a2)^2 + (1 - a3.a3)^2. It is zero only for rotations (and reflections)."
-)
-
 
 @drawn(seed=13, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -64,10 +59,23 @@ MISTAKES = (
         lambda maps: np.full(len(maps), rigidity(maps).sum()),
     ),
 )
-HINTS = (
-    "What do the columns of a rotation look like? Their lengths and the angles between them say it all.",
-    "A^T A holds the scalar products of the columns. Use each pair once, and the difference from 1 of each length squared.",
-    "with G = A^T A: G12^2 + G13^2 + G23^2 + (1 - G11)^2 + (1 - G22)^2 + (1 - G33)^2.",
-)
 
-RIGIDITY_ENERGY = Exercise("rigidity", "01_neutral_scan", TASK, HINTS, MISTAKES, cases, rigidity, parse, close)
+RIGIDITY_ENERGY = Exercise(
+    "rigidity",
+    "01_neutral_scan",
+    task=(
+        "rigidity(maps): (g, 3, 3) affine maps A of g graph nodes, with columns a1, a2, a3 -> (g,) the energy of each, "
+        "(a1.a2)^2 + (a1.a3)^2 + (a2.a3)^2 + (1 - a1.a1)^2 + (1 - a2.a2)^2 + (1 - a3.a3)^2. It is zero only for rotations "
+        "(and reflections)."
+    ),
+    hints=(
+        "What do the columns of a rotation look like? Their lengths and the angles between them say it all.",
+        "A^T A holds the scalar products of the columns. Use each pair once, and the difference from 1 of each length squared.",
+        "with G = A^T A: G12^2 + G13^2 + G23^2 + (1 - G11)^2 + (1 - G22)^2 + (1 - G33)^2.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=rigidity,
+    parse=parse,
+    near=close,
+)

@@ -7,12 +7,6 @@ import numpy as np
 from .grading import Case, Exercise, Mistake, as_array, drawn, switched
 from .pairs import close
 
-TASK = (
-    "solve_deformation(laplacian, w1, w2, targets): laplacian (n, n), two energy weights and the displacements (n, 3) that "
-    "the depth asks for -> the displacements d (n, 3) that minimise w1 |d - targets|^2 + w2 |laplacian d|^2. The matrix is "
-    "the same in every frame; factorise it (scipy.linalg.cho_factor) rather than invert it."
-)
-
 
 @drawn(seed=16, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -64,13 +58,24 @@ MISTAKES = (
         lambda laplacian, w1, w2, targets: (w1 * np.eye(len(targets)) + w2 * laplacian.T @ laplacian) @ targets,
     ),
 )
-HINTS = (
-    "Both terms are squares that are linear in d, so that the minimum is the solution of a linear system.",
-    "Set half the derivative to zero and sort: what multiplies d is a constant symmetric matrix, the rest is the right-hand "
-    "side. All three coordinates share the matrix.",
-    "(w1 I + w2 L^T L) d = w1 targets; cho_solve(cho_factor(A), w1 * targets).",
-)
 
 SOLVE_DEFORMATION = Exercise(
-    "solve_deformation", "05_laplacian_deformation", TASK, HINTS, MISTAKES, cases, solve_deformation, parse, close
+    "solve_deformation",
+    "05_laplacian_deformation",
+    task=(
+        "solve_deformation(laplacian, w1, w2, targets): laplacian (n, n), two energy weights and the displacements (n, 3) "
+        "that the depth asks for -> the displacements d (n, 3) that minimise w1 |d - targets|^2 + w2 |laplacian d|^2. The "
+        "matrix is the same in every frame; factorise it (scipy.linalg.cho_factor) rather than invert it."
+    ),
+    hints=(
+        "Both terms are squares that are linear in d, so that the minimum is the solution of a linear system.",
+        "Set half the derivative to zero and sort: what multiplies d is a constant symmetric matrix, the rest is the "
+        "right-hand side. All three coordinates share the matrix.",
+        "(w1 I + w2 L^T L) d = w1 targets; cho_solve(cho_factor(A), w1 * targets).",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=solve_deformation,
+    parse=parse,
+    near=close,
 )

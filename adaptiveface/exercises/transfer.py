@@ -8,12 +8,6 @@ from ..model.blendshapes import deformation_gradients
 from .grading import Case, Exercise, Mistake, as_array, drawn
 from .pairs import close
 
-TASK = (
-    "deformation_gradient(neutral, deformed): the corners (T, 3, 3) of T triangles before and after, one corner per row -> "
-    "(T, 3, 3) the affine maps S with S V = V', where the columns of V are the edges b - a, c - a and the normal "
-    "(b - a) x (c - a) divided by the root of its length, and V' the same of the deformed triangle."
-)
-
 
 @drawn(seed=21, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -84,11 +78,24 @@ MISTAKES = (
     ),
     Mistake("nothing changes: the identity came back", lambda **c: np.broadcast_to(np.eye(3), c["neutral"].shape)),
 )
-HINTS = (
-    "An affine map of space is known by what it does with three directions. A triangle has two edges. Where is the third?",
-    "Build a (3, 3) frame of each triangle: two edges and a normal that scales as a length does. S takes one frame to the "
-    "other.",
-    "n = (b - a) x (c - a), V = [b - a, c - a, n / sqrt(|n|)] as columns, S = V' V^-1.",
-)
 
-DEFORMATION_GRADIENT = Exercise("deformation_gradient", "02_blendshapes", TASK, HINTS, MISTAKES, cases, truth, parse, close)
+DEFORMATION_GRADIENT = Exercise(
+    "deformation_gradient",
+    "02_blendshapes",
+    task=(
+        "deformation_gradient(neutral, deformed): the corners (T, 3, 3) of T triangles before and after, one corner per row "
+        "-> (T, 3, 3) the affine maps S with S V = V', where the columns of V are the edges b - a, c - a and the normal (b - "
+        "a) x (c - a) divided by the root of its length, and V' the same of the deformed triangle."
+    ),
+    hints=(
+        "An affine map of space is known by what it does with three directions. A triangle has two edges. Where is the third?",
+        "Build a (3, 3) frame of each triangle: two edges and a normal that scales as a length does. S takes one frame to the "
+        "other.",
+        "n = (b - a) x (c - a), V = [b - a, c - a, n / sqrt(|n|)] as columns, S = V' V^-1.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=truth,
+    parse=parse,
+    near=close,
+)

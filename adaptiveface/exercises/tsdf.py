@@ -7,13 +7,6 @@ import numpy as np
 from .grading import Case, Exercise, Mistake, Wrong, drawn, switched
 from .pairs import close, packed
 
-TASK = (
-    "integrate(distance, weight, measured, cosine, truncation, min_cosine): for n voxels the running mean distance (n,) "
-    "in units of the truncation, its weight (n,), the signed distance measured (n,) of this frame in mm (positive in front "
-    "of the skin), the cosine (n,) of the viewing angle, and two numbers -> (distance, weight) after the frame. A voxel "
-    "more than one truncation behind the skin, or seen at a cosine below min_cosine, stays as it is."
-)
-
 
 @drawn(seed=11, count=6)
 def cases(rng: np.random.Generator, number: int) -> Case:
@@ -112,12 +105,26 @@ MISTAKES = (
         lambda **c: (lambda d, w: (np.where(w > c["weight"], d * w, d), w))(*integrate(**c)),
     ),
 )
-HINTS = (
-    "Three questions per voxel: may this frame speak about it, what does it say, and how much does it count?",
-    "Divide the measured distance by the truncation and cap it at 1. Leave a voxel alone where the result is below -1 or the "
-    "cosine too small. Elsewhere take the mean of old and new, weighted by the old weight and the cosine.",
-    "d = min(measured / truncation, 1); where d >= -1 and cosine >= min_cosine: distance <- (weight distance + cosine d) / "
-    "(weight + cosine), weight <- weight + cosine.",
-)
 
-TSDF_INTEGRATION = Exercise("integrate", "01_neutral_scan", TASK, HINTS, MISTAKES, cases, integrate, parse, close)
+TSDF_INTEGRATION = Exercise(
+    "integrate",
+    "01_neutral_scan",
+    task=(
+        "integrate(distance, weight, measured, cosine, truncation, min_cosine): for n voxels the running mean distance (n,) "
+        "in units of the truncation, its weight (n,), the signed distance measured (n,) of this frame in mm (positive in "
+        "front of the skin), the cosine (n,) of the viewing angle, and two numbers -> (distance, weight) after the frame. A "
+        "voxel more than one truncation behind the skin, or seen at a cosine below min_cosine, stays as it is."
+    ),
+    hints=(
+        "Three questions per voxel: may this frame speak about it, what does it say, and how much does it count?",
+        "Divide the measured distance by the truncation and cap it at 1. Leave a voxel alone where the result is below -1 or "
+        "the cosine too small. Elsewhere take the mean of old and new, weighted by the old weight and the cosine.",
+        "d = min(measured / truncation, 1); where d >= -1 and cosine >= min_cosine: distance <- (weight distance + cosine d) "
+        "/ (weight + cosine), weight <- weight + cosine.",
+    ),
+    mistakes=MISTAKES,
+    cases=cases,
+    truth=integrate,
+    parse=parse,
+    near=close,
+)
