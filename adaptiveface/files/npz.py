@@ -38,13 +38,22 @@ class Field:
     optional: bool = False
 
 
-def _header(member, name: str, path: Path) -> tuple[tuple[int, ...], np.dtype]:
-    version = np.lib.format.read_magic(member)
-    if version not in ((1, 0), (2, 0)):
-        raise FileFormatError(f"{path}: array '{name}' has the unknown npy version {version}")
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(member)
-    return shape, dtype
+def _checked_header(archive: Archive, info: zipfile.ZipInfo, name: str, path: Path) -> tuple[tuple[int, ...], np.dtype, int]:
+    """Shape, dtype and size in bytes of an array, from a header that fits the size of its member in the archive."""
+    with archive.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        if version not in ((1, 0), (2, 0)):
+            raise FileFormatError(f"{path}: array '{name}' has the unknown npy version {version}")
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(member)
+        begins = member.tell()
+    if dtype.hasobject:
+        raise FileFormatError(f"{path}: array '{name}' holds Python objects; pickles are refused")
+    needed = int(np.prod(shape, dtype=object)) * dtype.itemsize
+    if begins + needed != info.file_size:
+        held = info.file_size - begins
+        raise FileFormatError(f"{path}: array '{name}' promises {abbreviated(needed)} bytes and holds {held}")
+    return shape, dtype, needed
 
 
 def _check(path: Path, name: str, field: Field, shape, dtype: np.dtype, sizes: dict[str, int]) -> None:
@@ -94,7 +103,7 @@ def load_checked(
     path = Path(path)
     out: dict[str, np.ndarray] = {}
     sizes: dict[str, int] = {}
-    total = 0
+    total, large = 0, MAPPED_FROM if mapped_from is None else mapped_from
     try:
         with Archive(path, MAX_FILE_BYTES) as archive:
             members = set(archive.namelist())
@@ -104,34 +113,30 @@ def load_checked(
                         continue
                     raise FileFormatError(f"{path}: the array '{name}' is missing")
                 info = archive.member(f"{name}.npy")
-                with archive.open(info) as member:
-                    shape, dtype = _header(member, name, path)
-                    begins = member.tell()
-                if dtype.hasobject:
-                    raise FileFormatError(f"{path}: array '{name}' holds Python objects; pickles are refused")
-                needed = int(np.prod(shape, dtype=object)) * dtype.itemsize
-                if begins + needed != info.file_size:
-                    held = info.file_size - begins
-                    raise FileFormatError(f"{path}: array '{name}' promises {abbreviated(needed)} bytes and holds {held}")
-                if name in mapped and info.file_size >= (MAPPED_FROM if mapped_from is None else mapped_from):
-                    _check(path, name, field, shape, dtype, sizes)
-                    array = map_member(path, info, partial(_check_values, path, name))
-                    if array is not None:
-                        out[name] = array
-                        continue
-                total += needed
-                if total > max_bytes:
-                    raise FileFormatError(f"{path}: its arrays need more than {max_bytes >> 20} MiB")
+                shape, dtype, needed = _checked_header(archive, info, name, path)
                 _check(path, name, field, shape, dtype, sizes)
-                with archive.open(f"{name}.npy") as member:
-                    array = np.lib.format.read_array(member, allow_pickle=False)
-                _check_values(path, name, array)
+                array = None
+                if name in mapped and info.file_size >= large:
+                    array = map_member(path, info, partial(_check_values, path, name))
+                if array is None:
+                    total += needed
+                    if total > max_bytes:
+                        raise FileFormatError(f"{path}: its arrays need more than {max_bytes >> 20} MiB")
+                    array = _read_array(archive, name, path)
                 out[name] = array
     except FileFormatError:
         raise
     except Exception as error:  # damaged archives and headers raise anything, from zlib.error to tokenize.TokenError
         raise FileFormatError(f"{path}: not a readable npz file ({abbreviated(error, 120)})") from error
     return out
+
+
+def _read_array(archive: Archive, name: str, path: Path) -> np.ndarray:
+    """The array ``name``, whose header is checked already, read into memory."""
+    with archive.open(f"{name}.npy") as member:
+        array: np.ndarray = np.lib.format.read_array(member, allow_pickle=False)
+    _check_values(path, name, array)
+    return array
 
 
 def _check_values(path: Path, name: str, array: np.ndarray) -> None:

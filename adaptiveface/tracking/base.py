@@ -204,6 +204,23 @@ class Tracker(ABC):
         parts = self.model.parts(self.region.difference(v2, v1))
         return self.region.moved(v1, *self.model.project(parts)), parts
 
+    def _tracked(
+        self,
+        frame: RgbdFrame,
+        pose: np.ndarray,
+        meshes: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        coefficients: tuple[np.ndarray, np.ndarray],
+        distances: tuple[float, float],
+        ms: dict[str, float],
+        held_out: np.ndarray,
+        state: SampleState = SampleState.IN_ANCHOR_SPACE,
+        residual: float = float("nan"),
+    ) -> TrackedFrame:
+        """The result of a tracked ``frame``: v1 to v4, the coefficients of v1 and of v4, :meth:`Parts.distances`, times."""
+        learned = state, self.model.updates
+        own = frame.index, frame.timestamp, True, pose, *meshes, *coefficients
+        return TrackedFrame(*own, *learned, residual, *distances, ms, held_out=held_out)
+
     def untracked(self, frame: RgbdFrame, reason: str, ms: dict[str, float] | None = None) -> TrackedFrame:
         """The result of a ``frame`` in which there is no face, or none that can be tracked: the neutral, unmoved."""
         neutral, x = self.actor.neutral, self.state.coefficients

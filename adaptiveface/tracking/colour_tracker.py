@@ -25,7 +25,7 @@ from .expression import HeldPose
 from .feature_rows import reprojection_errors
 from .stages import Stages
 from .tracker import FaceTracker
-from .types import STAGE_NAMES, SampleState, TrackedFrame
+from .types import STAGE_NAMES, TrackedFrame
 from .verdict import NO_FACE
 
 #: The parameters' pixels are those of a depth camera with about this focal length, px; frames are brought to it.
@@ -89,25 +89,8 @@ class ColourTracker(Tracker):
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
         self.state = replace(self.state, pose=pose, coefficients=x, v1=v1, v4=v4)
-        anchor, adaptive = parts.distances()
-        return TrackedFrame(
-            frame.index,
-            frame.timestamp,
-            True,
-            pose,
-            v1,
-            v2,
-            v3,
-            v4,
-            x,
-            coefficients,
-            SampleState.IN_ANCHOR_SPACE,
-            self.model.updates,
-            anchor_distance=anchor,
-            adaptive_distance=adaptive,
-            stage_ms=ms,
-            held_out=self.held_out.measure(face, camera, pose, v4, x),
-        )
+        meshes, held_out = (v1, v2, v3, v4), self.held_out.measure(face, camera, pose, v4, x)
+        return self._tracked(frame, pose, meshes, (x, coefficients), parts.distances(), ms, held_out)
 
     def _observed(self, frame: RgbdFrame) -> RgbdFrame:
         """The frame at the reference focal length; its features are the landmarks where it has them, else the 40."""

@@ -147,7 +147,7 @@ class FaceTracker(Tracker):
         with timed(ms, "final_deformation"):  # section 4.4
             v4 = self._deform_to_features(frame, pose, v3)
         with timed(ms, "adaptive_pca"):  # section 5
-            anchor, adaptive = parts.distances()  # figure 11: before the frame is learned from
+            distances = parts.distances()  # figure 11: before the frame is learned from
             state = self._learn(parts, coverage, occluded, clock.late)
         with timed(ms, "resolve"):  # section 6
             coefficients = self.blendshapes.resolve(v4, x)
@@ -157,25 +157,8 @@ class FaceTracker(Tracker):
             self._learn_expressions(state, 0.5 * (x + coefficients), v2, coverage)
 
         self.state = TrackerState(pose, x, v1, v4, deformation, self.state.filter, confidence, clock)
-        return TrackedFrame(
-            frame.index,
-            frame.timestamp,
-            True,
-            pose,
-            v1,
-            v2,
-            v3,
-            v4,
-            x,
-            coefficients,
-            state,
-            self.model.updates,
-            rigid.residual,
-            anchor,
-            adaptive,
-            ms,
-            held_out=self.held_out.measure(face, frame.camera, pose, v4, x),
-        )
+        meshes, held_out = (v1, v2, v3, v4), self.held_out.measure(face, frame.camera, pose, v4, x)
+        return self._tracked(frame, pose, meshes, (x, coefficients), distances, ms, held_out, state, rigid.residual)
 
     # ---- section 4.1 -----------------------------------------------------------------------------------------------
     def _find_head(
