@@ -71,6 +71,7 @@ OLD_MODULES = {
         "rows": "result.rows",
         "stages": "parameters.stages",
         "timing": "runtime.timing",
+        **{f"views.{name}": f"studies.{name}" for name in ("measures", "recorded", "session")},
     }.items()
 }
 

@@ -15,7 +15,7 @@ import pytest
 from numba.core import caching
 
 from adaptiveface.caches import cache_folder, cache_folders, folders
-from adaptiveface.views.session import load_session
+from adaptiveface.studies.session import load_session
 
 PROGRAM = """
 import sys
@@ -201,7 +201,7 @@ def test_a_damaged_session_is_made_again_and_says_so(tmp_path, capsys, which, da
 
 
 def test_a_session_that_cannot_be_kept_still_runs(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("adaptiveface.views.session.cache_folder", lambda: None)
+    monkeypatch.setattr("adaptiveface.studies.session.cache_folder", lambda: None)
     assert len(load_session("synthetic:3:none", neutral_frames=2, frames=2)) == 4
     (tmp_path / "file").write_text("")
     assert len(load_session("synthetic:3:none", neutral_frames=2, frames=2, cache=tmp_path / "file" / "x")) == 4

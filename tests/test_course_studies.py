@@ -11,7 +11,9 @@ pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
 from adaptiveface import views  # noqa: E402
 from adaptiveface.geometry.mesh import cotangent_laplacian  # noqa: E402
 from adaptiveface.model.blendshapes import gradient_operator  # noqa: E402
-from adaptiveface.views import prior_study, transfer_study  # noqa: E402
+from adaptiveface.studies import prior
+from adaptiveface.studies.expression_transfer import LIDS
+from adaptiveface.views import transfer_study  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,7 @@ def transfer(session):
 
 
 def test_without_the_prior_one_frame_is_met_as_well_and_the_head_is_farther_from_the_true_one(session):
-    with_prior, without = prior_study.with_and_without(session, 1)
+    with_prior, without = prior.with_and_without(session, 1)
     assert without.residual < 1.02 * with_prior.residual
     (seen, unseen), (seen_without, unseen_without) = with_prior.median_error(), without.median_error()
     assert seen_without > 2 * seen and unseen_without > 2 * unseen
@@ -49,7 +51,7 @@ def test_rows_have_the_vertex_and_its_neighbours_and_the_factor_solves(transfer)
 
 
 def test_contact_is_not_transferred_and_copied_displacements_do_worse(transfer):
-    for blink in transfer_study.LIDS:
+    for blink in LIDS:
         average, here = transfer.gap(blink)
         assert average < 0.3 < here < transfer.gap(blink, transferred=False)[1]
 

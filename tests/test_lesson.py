@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from adaptiveface import views
+from adaptiveface.studies import learning
+from adaptiveface.studies.measures import model_features
+from adaptiveface.studies.session import Session
 from adaptiveface.synthetic import lesson
 from adaptiveface.tracking.types import SampleState
 from adaptiveface.views import pca_study
-from adaptiveface.views.measures import model_features
-from adaptiveface.views.session import Session
 
 #: Frames of the lesson: the laugh, the rage, the faulty ones with some before them.
 LAUGH, RAGE, FAULT = range(4, 42, 2), range(50, 86, 2), range(230, 241)
@@ -73,7 +74,7 @@ def test_s(session):
     last = len(LAUGH) + len(RAGE) - 1
     wide, short = replay_with(session, K=3), replay_with(session, K=3, S=6)
     samples = wide.model_after(last).buffer()
-    angles = [pca_study.angle_to_batch(one.model_after(last), samples) for one in (wide, short)]
+    angles = [learning.angle_to_batch(one.model_after(last), samples) for one in (wide, short)]
     assert angles[0] < 5 < 10 < angles[1]
 
 
@@ -110,11 +111,11 @@ def test_the_hand_is_not_learned_from():
 
 def test_singular_values_grow_with_the_expressions(session, default):
     in_laugh, after_laugh, after_rage = len(LAUGH) // 2, len(LAUGH) - 1, len(LAUGH) + len(RAGE) - 1
-    seen = [pca_study.singular_values(default.model_after(k)) for k in (after_laugh, after_rage, in_laugh)]
+    seen = [learning.singular_values(default.model_after(k)) for k in (after_laugh, after_rage, in_laugh)]
     assert seen[0][0] > 4 * seen[0][1] and seen[1][1] > 2 * seen[0][1]
     chart = pca_study.CorrectiveView(session).values
     assert max(values[0] for values in seen) < chart._high, "no bar is cut off"
-    assert len(pca_study.singular_values(default.model_after(0))) == 0
+    assert len(learning.singular_values(default.model_after(0))) == 0
 
 
 def test_energy_chart(session, default):
@@ -197,6 +198,6 @@ def test_charts_compare_with_the_samples_that_are_in_the_buffer(session):
     few = replay_with(session, K=3, S=8)
     model = few.model_after(last)
     assert model.count == 8 < model.seen and model.ages[:8].min() < model.seen - 8
-    assert pca_study.angle_to_batch(model) < 15
+    assert learning.angle_to_batch(model) < 15
     of_all = np.linalg.svd(model.buffer().astype(float), compute_uv=False) / np.sqrt(model.buffer().size / 3)
-    np.testing.assert_allclose(pca_study.singular_values(model)[:2], of_all[:2], rtol=0.05)
+    np.testing.assert_allclose(learning.singular_values(model)[:2], of_all[:2], rtol=0.05)

@@ -11,6 +11,7 @@ pytest.importorskip("pyvista", reason="the extra 'notebooks' is not installed")
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame  # noqa: E402
 
 from adaptiveface import views  # noqa: E402
+from adaptiveface.studies.session import Session  # noqa: E402
 from adaptiveface.views.retargeting_study import (  # noqa: E402
     COMPARED,
     CORRECTIVES,
@@ -19,7 +20,6 @@ from adaptiveface.views.retargeting_study import (  # noqa: E402
     SLIDERS,
     RetargetingStudy,
 )
-from adaptiveface.views.session import Session  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 
 from adaptiveface import views
 from adaptiveface.errors import AdaptiveFaceError
+from adaptiveface.studies import skin
 from adaptiveface.views import skin_study
 
 
@@ -19,13 +20,13 @@ def session(tmp_path_factory):
 
 
 def test_samples_know_one_direction_and_patches_more(session):
-    shown = skin_study.track_skin(session, 3)
+    shown = skin.track_skin(session, 3)
     assert shown.frame.index == session.frames[3].index
     low, high = np.linalg.eigvalsh(shown.information()).T
-    patch_low, patch_high = np.linalg.eigvalsh(skin_study.around(shown.pixels(), shown.information())).T
+    patch_low, patch_high = np.linalg.eigvalsh(skin.around(shown.pixels(), shown.information())).T
     assert (low >= -1e-9).all() and np.median((low / np.maximum(high, 1e-12))[high > 1e-6]) < 0.05
     assert np.median((patch_low / np.maximum(patch_high, 1e-12))[patch_high > 1e-6]) > 0.05
-    assert "%" in skin_study.aperture(shown)
+    assert "%" in skin.aperture(shown)
     for image in (skin_study.ellipses(shown), skin_study.on_and_off(session, views.Measures(session), shown)):
         assert image.data[:4] == b"\x89PNG" and image.alt
 
@@ -35,4 +36,4 @@ def test_a_performance_without_colour_says_so(session):
     plain = views.Session(session.name, session.camera, grey, session.frames, session.fps)
     plain._actor = session.actor
     with pytest.raises(AdaptiveFaceError, match="no colour"):
-        skin_study.track_skin(plain, 0)
+        skin.track_skin(plain, 0)

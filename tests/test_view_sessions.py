@@ -17,9 +17,9 @@ from adaptiveface.errors import AdaptiveFaceError, FileFormatError  # noqa: E402
 from adaptiveface.geometry.mesh import surface_points  # noqa: E402
 from adaptiveface.model.face_model import embedded_face_model  # noqa: E402
 from adaptiveface.neutral.coverage import choose_by_coverage  # noqa: E402
-from adaptiveface.views.measures import plain  # noqa: E402
-from adaptiveface.views.recorded import PROPORTIONS, read_take  # noqa: E402
-from adaptiveface.views.session import Session  # noqa: E402
+from adaptiveface.studies.measures import plain  # noqa: E402
+from adaptiveface.studies.recorded import PROPORTIONS, read_take  # noqa: E402
+from adaptiveface.studies.session import Session  # noqa: E402
 
 
 @pytest.fixture(scope="module")

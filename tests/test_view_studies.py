@@ -16,8 +16,10 @@ from adaptiveface import views  # noqa: E402
 from adaptiveface.evaluation import GroundTruth, TruthFrame  # noqa: E402
 from adaptiveface.geometry.mesh import transform_points  # noqa: E402
 from adaptiveface.model.face_model import embedded_face_model  # noqa: E402
-from adaptiveface.views import fit_study, neutral_study, rigid_study  # noqa: E402
-from adaptiveface.views.session import Session  # noqa: E402
+from adaptiveface.studies import closest as closest_study
+from adaptiveface.studies import fit, icp
+from adaptiveface.studies.session import Session  # noqa: E402
+from adaptiveface.views import fit_study, neutral_study  # noqa: E402
 
 
 def jaw(index: int) -> float:
@@ -36,7 +38,7 @@ def session() -> Session:
 
 
 def test_the_closest_expression_is_the_one_that_was_performed(session):
-    closest = neutral_study.closest_expression(session)
+    closest = closest_study.closest_expression(session)
     expected = np.zeros(len(session.actor.blendshapes))
     expected[0] = jaw(5)
     assert closest.index == 5, "the jaw is open widest in the last frame"
@@ -48,15 +50,15 @@ def test_the_closest_expression_is_the_one_that_was_performed(session):
 def test_the_distance_to_the_truth_ignores_where_the_head_frame_lies():
     head = embedded_face_model().neutral(np.array([1.0, -0.5]))
     truth = GroundTruth(head, lambda i: None, 0)
-    assert neutral_study.distance_to_truth(transform_points(head_pose((0.1, 0.2, 0.0)), head), truth).max() < 1e-3
-    assert np.median(neutral_study.distance_to_truth(1.02 * head, truth)) > 0.3
+    assert closest_study.distance_to_truth(transform_points(head_pose((0.1, 0.2, 0.0)), head), truth).max() < 1e-3
+    assert np.median(closest_study.distance_to_truth(1.02 * head, truth)) > 0.3
 
 
 def test_pose_errors_are_small_where_the_rig_is_exact(session):
-    errors = rigid_study.pose_errors(session)
+    errors = icp.pose_errors(session)
     assert errors.shape == (6, 2)
     assert np.median(errors, axis=0) == pytest.approx([0.0, 0.0], abs=0.5)
-    assert len(rigid_study.pose_errors(session, rigid__max_residual=0.1)) < 6, "lost frames have none"
+    assert len(icp.pose_errors(session, rigid__max_residual=0.1)) < 6, "lost frames have none"
 
 
 def test_a_lost_head_has_no_error_to_show(session):
@@ -68,7 +70,7 @@ def test_a_lost_head_has_no_error_to_show(session):
 def test_the_chart_of_coefficients_follows_the_jaw_and_the_number_of_expressions(session):
     replay = views.Replay(session.frames, session.actor)
     results = replay.run()
-    chosen = fit_study.liveliest(fit_study.fitted_coefficients(results), 2)
+    chosen = fit.liveliest(fit.fitted_coefficients(results), 2)
     assert chosen[0] == 0
     _, lines = fit_study.coefficient_chart(session, [0, len(session.actor.blendshapes) - 1])
     jaws, last = lines(replay).values()

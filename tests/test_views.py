@@ -29,11 +29,13 @@ from adaptiveface.geometry.frame import FEATURE_IDS  # noqa: E402
 from adaptiveface.geometry.mesh import cotangent_laplacian, rotation_vector_matrix, vertex_normals  # noqa: E402
 from adaptiveface.insides import make_insides, placed  # noqa: E402
 from adaptiveface.parameters import Parameters, describe  # noqa: E402
+from adaptiveface.studies import fit, icp, laplacians, learning, sweep
+from adaptiveface.studies.printed_equation import PrintedEquation
+from adaptiveface.studies.session import Session, liveliest_window  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
-from adaptiveface.views import fit_study, laplacian_study, pca_study, pipeline_study, rigid_study, saved  # noqa: E402
+from adaptiveface.views import fit_study, saved  # noqa: E402
 from adaptiveface.views.kernel import BackgroundTask, on_main_thread, shown_errors  # noqa: E402
 from adaptiveface.views.pictures import annotate  # noqa: E402
-from adaptiveface.views.session import Session, liveliest_window  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -724,7 +726,7 @@ def test_errors_are_shown_and_tasks_report_theirs(monkeypatch):
 def test_printed_equation_ignores_its_weights_and_the_weighted_one_does_not(session):
     replay = views.Replay(session.frames, session.actor)
     result, frame = replay.run()[8], session.frames[8]
-    printed = laplacian_study.PrintedEquation(session.actor, session.camera)
+    printed = PrintedEquation(session.actor, session.camera)
     reference = printed.deform(frame, result, 0.1, 100.0)
     assert np.linalg.norm(reference, axis=1).max() > 0.1
     np.testing.assert_allclose(printed.deform(frame, result, 1e-4, 1e4), reference, atol=1e-9)
@@ -739,9 +741,7 @@ def test_printed_equation_solves_the_stacked_rows_without_weights(session):
     """The normal equations of K dv = G^-1 a hold, with the rows of eqs. (3), (4) and (6) written out here anew."""
     actor, frame = session.actor, session.frames[8]
     result = views.Replay(session.frames[:9], actor).run()[8]
-    solution = (
-        laplacian_study.PrintedEquation(actor, frame.camera).deform(frame, result, 0.1, 100.0) @ result.head_pose[:3, :3].T
-    )
+    solution = PrintedEquation(actor, frame.camera).deform(frame, result, 0.1, 100.0) @ result.head_pose[:3, :3].T
     frontal, vertices = np.flatnonzero(actor.frontal), result.in_camera(result.v1[actor.frontal])
     u, v = np.round(frame.camera.project(vertices)).astype(int).T
     ratio = frame.depth[v, u] / vertices[:, 2]
@@ -758,24 +758,24 @@ def test_printed_equation_solves_the_stacked_rows_without_weights(session):
 
 
 def test_hole_removes_depth_at_the_mouth_corner(session):
-    pierced = laplacian_study.with_hole(session, 20.0)
+    pierced = laplacians.with_hole(session, 20.0)
     frame, whole = pierced.frames[4], session.frames[4]
     u, v = np.round(whole.features.pixels[list(FEATURE_IDS).index(54)]).astype(int)
     gone = (whole.depth > 0) & (frame.depth == 0)
     assert frame.depth[v, u] == 0 and 500 < gone.sum() < 3000
     assert FaceTracker(session.actor).track(frame).tracked
     painted = dataclasses.replace(whole, colour=np.full((*whole.depth.shape, 3), 200, np.uint8))
-    (shown,) = laplacian_study.with_hole(dataclasses.replace(session, frames=[painted]), 20.0).frames
+    (shown,) = laplacians.with_hole(dataclasses.replace(session, frames=[painted]), 20.0).frames
     assert (shown.colour[gone] == 100).all() and (shown.colour == 200).mean() > 0.9
 
 
 def test_error_in_the_hole_counts_what_lost_its_depth(session):
     measures, run = views.Measures(session), views.Replay(session.frames, session.actor).run()
-    assert np.isnan(laplacian_study.error_in_hole(session, session, measures, run))
+    assert np.isnan(laplacians.error_in_hole(session, session, measures, run))
     everywhere = np.nanmean([measures.mean_error(r, f, "v2") for r, f in zip(run, session.frames, strict=True)])
-    inside = laplacian_study.error_in_hole(session, laplacian_study.with_hole(session, 1000.0), measures, run)
+    inside = laplacians.error_in_hole(session, laplacians.with_hole(session, 1000.0), measures, run)
     assert inside == pytest.approx(everywhere, rel=0.1)
-    assert laplacian_study.error_in_hole(session, laplacian_study.with_hole(session, 20.0), measures, run) != inside
+    assert laplacians.error_in_hole(session, laplacians.with_hole(session, 20.0), measures, run) != inside
 
 
 def test_incremental_correctives_lie_near_the_batch_pca(session):
@@ -785,8 +785,8 @@ def test_incremental_correctives_lie_near_the_batch_pca(session):
     replay.run()
     samples = replay.model_after(35).buffer()
     assert len(samples) > 20
-    assert pca_study.angle_to_batch(replay.tracker.model, samples) < 8.0
-    assert np.isnan(pca_study.angle_to_batch(FaceTracker(session.actor).model, samples))
+    assert learning.angle_to_batch(replay.tracker.model, samples) < 8.0
+    assert np.isnan(learning.angle_to_batch(FaceTracker(session.actor).model, samples))
 
 
 def test_icp_study_converges_on_the_true_pose():
@@ -794,23 +794,23 @@ def test_icp_study_converges_on_the_true_pose():
     frame, goal = render_frame(actor, actor.neutral, head_pose(), noise=0.3), head_pose()
     keep = actor.frontal & actor.depth_valid
     normals = vertex_normals(actor.neutral, actor.triangles)[keep]
-    start = rigid_study.displaced(goal, actor.neutral[keep].mean(axis=0), 10.0, 8.0)
-    run = rigid_study.run_icp(frame, actor.neutral[keep], normals, start, 25.0)
+    start = icp.displaced(goal, actor.neutral[keep].mean(axis=0), 10.0, 8.0)
+    run = icp.run_icp(frame, actor.neutral[keep], normals, start, 25.0)
     assert run.residuals[0] > 3.0 > 0.5 > run.residuals[-1] and len(run.poses) == 13
-    assert rigid_study.rotation_angle(run.poses[0], goal) == pytest.approx(8.0, abs=1e-6)
-    assert rigid_study.rotation_angle(run.poses[-1], goal) < 0.3
+    assert icp.rotation_angle(run.poses[0], goal) == pytest.approx(8.0, abs=1e-6)
+    assert icp.rotation_angle(run.poses[-1], goal) < 0.3
     assert np.linalg.norm(run.poses[-1][:3, 3] - goal[:3, 3]) < 1.0
 
 
 def test_fit_problem_bounded_beats_clipped(session):
     result = views.Replay(session.frames, session.actor).run()[10]
-    problem = fit_study.fit_problem(session.actor, session.frames[10], result, Parameters.paper().blendshapes)
+    problem = fit.fit_problem(session.actor, session.frames[10], result, Parameters.paper().blendshapes)
     bounded = problem.bounded()
     assert problem.energy(problem.unbounded()) <= problem.energy(bounded) < problem.energy(problem.clipped())
     assert bounded.min() >= 0 and bounded.max() <= 1
     assert bounded[0] == pytest.approx(0.6, abs=0.15), "the jaw that the frame was rendered with"
     other = dataclasses.replace(result, v1=result.v1 + 1.0)  # no b0 + B x of the actor, as with personal blendshapes
-    again = fit_study.fit_problem(session.actor, session.frames[10], other, Parameters.paper().blendshapes)
+    again = fit.fit_problem(session.actor, session.frames[10], other, Parameters.paper().blendshapes)
     np.testing.assert_array_equal(again.g, problem.g)
 
 
@@ -824,13 +824,13 @@ def test_jitter_and_lag():
     t = np.arange(60)[:, None]
     smooth = np.sin(t / 6.0)
     late = np.roll(smooth, 4, axis=0)
-    assert fit_study.lag(late, smooth) == 4 and fit_study.lag(smooth, smooth) == 0
-    assert fit_study.jitter(smooth + 0.1 * (-1.0) ** t) > 10 * fit_study.jitter(smooth)
+    assert fit.lag(late, smooth) == 4 and fit.lag(smooth, smooth) == 0
+    assert fit.jitter(smooth + 0.1 * (-1.0) ** t) > 10 * fit.jitter(smooth)
 
 
 def test_sweep_fills_its_chart(session):
     chart = views.GridChart((0, 2), (5, 20), "K", "S", "error", limits=(0, 1))
-    values = pipeline_study.sweep(session, {"adaptive_pca.K": (0, 2)}, {"adaptive_pca.S": (5, 20)}, chart)
+    values = sweep.sweep(session, {"adaptive_pca.K": (0, 2)}, {"adaptive_pca.S": (5, 20)}, chart)
     assert np.isfinite(values).all() and np.array_equal(values, chart.values)
     assert values[0, 0] == values[0, 1], "without correctives the buffer does not matter"
 
@@ -854,15 +854,15 @@ def test_sweep_on_a_cluster_gives_the_same_numbers(session, elsewhere):
         if elsewhere:
             local = dict(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp")
             address = stack.enter_context(distributed.LocalCluster(**local)).scheduler_address
-        client = stack.enter_context(pipeline_study.cluster(address, workers=1))
-        values = pipeline_study.sweep(session, rows, columns, client=client)
-    assert np.array_equal(values, pipeline_study.sweep(session, rows, columns))
+        client = stack.enter_context(sweep.cluster(address, workers=1))
+        values = sweep.sweep(session, rows, columns, client=client)
+    assert np.array_equal(values, sweep.sweep(session, rows, columns))
 
 
 def test_a_scheduler_that_does_not_answer_is_named():
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     with pytest.raises(AdaptiveFaceError, match="no Dask scheduler answers at nonsense://here"):
-        pipeline_study.cluster("nonsense://here")
+        sweep.cluster("nonsense://here")
 
 
 # ---- session ----

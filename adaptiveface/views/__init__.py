@@ -1,7 +1,7 @@
 """Show in notebooks what other packages compute; this is the only package that imports ipywidgets.
 
-Needs the extra ``notebooks``. :func:`load_session` gives a performance, :class:`StageExplorer` puts a stage on show, and
-the studies (:mod:`.laplacian_study` and its neighbours) hold what one notebook alone needs.
+The extra ``notebooks`` is required. :func:`load_session` gives a performance, and :class:`StageExplorer` shows a stage. The
+modules whose names end in ``_study`` show what a single notebook needs; :mod:`adaptiveface.studies` computes it.
 """
 
 from threadpoolctl import threadpool_limits
@@ -17,17 +17,17 @@ try:
 except ImportError:
     raise MissingExtraError('the notebooks need more packages: python -m pip install "adaptiveface[notebooks]"') from None
 
+from ..studies.measures import Measures, depth_distance, plain
+from ..studies.session import Session, fast, load_session
 from . import saved
 from .charts import BarChart, GridChart, LiveChart
 from .face_view import FaceView
 from .kernel import on_main_thread, running_tasks, strict
 from .live_view import LiveView
-from .measures import Measures, depth_distance, plain
 from .parameter_panel import ParameterPanel
 from .pictures import CameraView
 from .player import Player
 from .replay import Replay
-from .session import Session, fast, load_session
 from .stage_explorer import SeriesCache, StageExplorer, error_chart, figure_11
 from .turntable import Turntable
 

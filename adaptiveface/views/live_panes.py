@@ -15,10 +15,10 @@ from ..model.face_model import embedded_face_model
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import load_character
 from ..retargeting.portrait import FACING, portrait
+from ..studies.measures import depth_distance
 from ..tracking.types import STAGE_NAMES
 from .charts import BarChart, LiveChart
 from .face_view import FaceView
-from .measures import depth_distance
 from .pictures import CameraView, encode, image_widget
 
 #: What the heat map can show, each with its fixed range, mm.

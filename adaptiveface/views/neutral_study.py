@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import ipywidgets as widgets
 import numpy as np
 
-from ..evaluation import GroundTruth, neutral_alignment, surface_distance
-from ..geometry.mesh import transform_points, vertex_normals
+from ..evaluation import GroundTruth
+from ..geometry.mesh import vertex_normals
 from ..model.actor import Actor
 from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.fit import IdentityFit, ScanSearch
@@ -18,10 +17,10 @@ from ..neutral.fuse import FusedScan, fuse_frames
 from ..neutral.shrink_wrap import shrink_wrap
 from ..parameters import FusionParameters, ShrinkWrapParameters
 from ..pipeline import one_blas_thread
-from ..tracking.bounded import bounded_least_squares
+from ..studies.closest import distance_to_truth
+from ..studies.session import Session
 from .face_view import FaceView
 from .kernel import Displayed, on_main_thread, shown_errors
-from .session import Session
 from .sliders import TypedNumbers, ValueSlider, linear_steps
 
 _WIDE = widgets.Layout(width="420px")
@@ -175,41 +174,6 @@ class ShrinkWrapStudy(_Study):
         out = np.full(len(vertices), np.nan)
         out[found.vertices] = np.abs(found.distances)
         return out
-
-
-def distance_to_truth(head: np.ndarray, truth: GroundTruth) -> np.ndarray:
-    """(n,) distance of a neutral head (V, 3) from the true face, over the frontal vertices that take depth, mm."""
-    model = embedded_face_model()
-    scored = model.frontal & model.depth_valid
-    aligned = transform_points(neutral_alignment(head, truth.neutral, scored), head)
-    return surface_distance(aligned, truth.neutral, model.triangles, scored)
-
-
-@dataclass(frozen=True)
-class ClosestExpression:
-    """``index`` of the frame, its true ``motion`` (V, 3) from the neutral face, mm, the ``coefficients`` (A,) in [0, 1]
-    that come closest to it, and what they leave: ``remaining`` (V,) mm, NaN outside the frontal region."""
-
-    index: int
-    motion: np.ndarray
-    coefficients: np.ndarray
-    remaining: np.ndarray
-
-
-def closest_expression(session: Session) -> ClosestExpression:
-    """The frame of a session with known truth in which the face moves most, and the blendshapes nearest to it."""
-    actor, frontal = session.actor, session.actor.frontal
-    truths = [session.truth[frame.index] for frame in session.frames]
-    motions = [transform_points(np.linalg.inv(t.head_pose), t.vertices) - session.truth.neutral for t in truths]
-    index = int(np.argmax([np.linalg.norm(m[frontal], axis=1).mean() for m in motions]))
-    basis, motion = actor.blendshapes[:, frontal].reshape(len(actor.blendshapes), -1), motions[index]
-    count = len(basis)
-    x = bounded_least_squares(
-        basis @ basis.T + 1e-6 * np.eye(count), basis @ motion[frontal].ravel(), np.zeros(count), np.ones(count)
-    )
-    remaining = np.full(len(frontal), np.nan)
-    remaining[frontal] = np.linalg.norm((motion[frontal].ravel() - x @ basis).reshape(-1, 3), axis=1)
-    return ClosestExpression(index, motion, x, remaining)
 
 
 class ExpressionStudy(_Study):

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 
 import ipywidgets as widgets
 import numpy as np
 
-from ..batch import completed, dask_client
 from ..evaluation.ablation import VARIANTS, Variant
 from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
-from .charts import GridChart
+from ..studies.measures import Measures
+from ..studies.session import Session
 from .face_view import FaceView
 from .kernel import Displayed
-from .measures import Measures
 from .player import Player
 from .replay import Replay
-from .session import Session
 
 
 class AblationView(Displayed):
@@ -76,57 +73,3 @@ class AblationView(Displayed):
         """Stop the player; the last picture stays."""
         self.player.close()
         self.view.close()
-
-
-def repeat_error(session: Session, parameters: Parameters) -> float:
-    """Mean error of v4, mm, over the second half of the performance (the repeat, where there is one)."""
-    measures, half = Measures(session), len(session.frames) // 2
-    results = Replay(session.frames, session.actor, parameters).run()
-    errors = [measures.mean_error(r, f) for r, f in zip(results[half:], session.frames[half:], strict=True)]
-    return float(np.nanmean(errors))
-
-
-def sweep(
-    session: Session,
-    rows: dict[str, Iterable],
-    columns: dict[str, Iterable],
-    chart: GridChart | None = None,
-    parameters: Parameters | None = None,
-    measure: Callable[[Session, Parameters], float] = repeat_error,
-    client=None,
-) -> np.ndarray:
-    """``measure`` for every pair of values of two parameters: (R, C) array, with a progress bar.
-
-    ``rows``, ``columns``: {"adaptive_pca.K": values}. ``chart`` fills while the sweep runs. ``client``:
-    a ``dask.distributed.Client`` that computes the cells in parallel (:func:`cluster`), None: one by one.
-    """
-    from tqdm.auto import tqdm
-
-    (row_name, row_values), (column_name, column_values) = *rows.items(), *columns.items()
-    row_values, column_values, base = list(row_values), list(column_values), parameters or Parameters()
-    out = np.full((len(row_values), len(column_values)), np.nan)
-    cells = list(itertools.product(range(len(row_values)), range(len(column_values))))
-    settings = [base.replace(**{row_name: row_values[r], column_name: column_values[c]}) for r, c in cells]
-    _ = session.actor  # captured once, before it is sent anywhere
-    for (r, c), value in tqdm(_computed(session, cells, settings, measure, client), total=len(cells), desc="sweep", unit="run"):
-        out[r, c] = value
-        if chart is not None:
-            chart.set(r, c, value)
-    return out
-
-
-def _computed(session, cells, settings, measure, client):
-    """Yield (cell, value) as they are done; the first error ends the sweep."""
-    items = list(zip(cells, settings, strict=True))
-    for (cell, _), value in completed(_measured, items, client, processes=0, shared=(measure, session)):
-        if isinstance(value, Exception):
-            raise value
-        yield cell, value
-
-
-def _measured(measure, session, item):
-    return measure(session, item[1])
-
-
-#: A Dask client for :func:`sweep`, as for ``adaptiveface batch``.
-cluster = dask_client

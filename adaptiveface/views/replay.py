@@ -13,6 +13,7 @@ import numpy as np
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
 from ..parameters import Parameters
+from ..studies.session import StoredFrames
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.base import Tracker
 from ..tracking.tracker import FaceTracker
@@ -20,7 +21,6 @@ from ..tracking.types import SampleState, TrackedFrame
 from .history import History
 from .kept import Keeper
 from .kernel import BackgroundTask
-from .session import StoredFrames
 
 MakeTracker = Callable[[Actor, Parameters], Tracker]
 

@@ -19,13 +19,13 @@ from ..retargeting.arkit import arkit_weights
 from ..retargeting.character import Character, load_character
 from ..retargeting.correctives import transferred_correctives
 from ..retargeting.portrait import FACING, portrait
+from ..studies.session import Session
 from ..tracking.resolve import SparseResolve
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
 from .kernel import Displayed, on_main_thread, shown_errors
 from .pictures import encode
 from .player import Player
-from .session import Session
 from .sliders import TypedNumbers, ValueSlider, linear_steps
 from .turntable import Turntable
 

@@ -2,83 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import ipywidgets as widgets
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..evaluation import neutral_alignment, pose_error
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points, vertex_normals
-from ..parameters import DepthParameters, Parameters
-from ..registration.association import Correspondences, find_correspondences
-from ..registration.icp import icp
-from ..registration.step import apply_rigid_update, motion_of, point_to_plane_step
-from ..registration.surface import crop_window, depth_surface
+from ..studies.icp import depth_points, displaced, run_icp
+from ..studies.session import Session
 from ..tracking.types import TrackedFrame
 from .charts import LiveChart
 from .face_view import FaceView
 from .neutral_study import _STYLE, _WIDE, _Study
-from .replay import Replay
-from .session import Session
 from .sliders import ValueSlider, linear_steps
-
-
-@dataclass(frozen=True)
-class IcpRun:
-    """``poses`` (I + 1, 4, 4): before and after every step; ``residuals`` (I + 1,) mean |distance| of the matches, mm;
-    ``matches`` (I + 1,) their number."""
-
-    poses: np.ndarray
-    residuals: np.ndarray
-    matches: np.ndarray
-
-
-def displaced(pose: np.ndarray, centre: np.ndarray, shift: float, turn: float) -> np.ndarray:
-    """A pose (4, 4) moved by ``shift`` mm sideways and forwards, and turned by ``turn`` degrees about the vertical."""
-    update = np.concatenate([np.radians(turn) * np.array([0.0, 1.0, 0.0]), shift * np.array([0.8, 0.0, -0.6])])
-    return apply_rigid_update(pose, update, transform_points(pose, centre))
-
-
-def run_icp(
-    frame: RgbdFrame,
-    shape: np.ndarray,
-    normals: np.ndarray,
-    start: np.ndarray,
-    max_distance: float,
-    iterations: int = 12,
-    step=point_to_plane_step,
-) -> IcpRun:
-    """Rigid ICP from ``start`` (4, 4) for a shape (n, 3) with normals (n, 3), head frame, with every iterate kept.
-
-    Partners farther away than ``max_distance`` mm are dropped.
-    ``step(points, correspondences, centre, vertex_weights)`` -> (6,) is the heart of it.
-    """
-    pixels = frame.camera.project(transform_points(start, shape))
-    surface = depth_surface(frame.depth, frame.camera, crop_window(frame.camera, pixels, 40.0), DepthParameters())
-    weights, middle = np.ones(len(shape)), shape.mean(axis=0)
-
-    def associate(pose: np.ndarray) -> Correspondences:
-        return find_correspondences(surface, shape, normals, max_distance, pose)
-
-    def advance(pose: np.ndarray, matches: Correspondences) -> tuple[np.ndarray, float]:
-        centre = transform_points(pose, middle)
-        update = step(matches.points, matches, centre, weights)
-        return apply_rigid_update(pose, update, centre), motion_of(update)
-
-    run = list(icp(start, associate, advance, lambda matches: matches.count, 6, iterations))
-    residuals, counts = [i.matches.mean_distance for i in run], [i.matches.count for i in run]
-    return IcpRun(np.array([i.pose for i in run]), np.array(residuals), np.array(counts))
-
-
-def depth_points(frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius: float = 130.0, stride: int = 3) -> np.ndarray:
-    """(p, 3) measured points around the head, mm, in the head frame given by ``pose`` (4, 4)."""
-    v, u = np.mgrid[0 : frame.depth.shape[0] : stride, 0 : frame.depth.shape[1] : stride]
-    depth = frame.depth[::stride, ::stride]
-    pixels = np.stack([u[depth > 0], v[depth > 0]], axis=1).astype(float)
-    points = transform_points(np.linalg.inv(pose), frame.camera.back_project(pixels, depth[depth > 0]))
-    return points[np.linalg.norm(points - centre, axis=1) < radius]
 
 
 class IcpStudy(_Study):
@@ -131,26 +67,3 @@ class IcpStudy(_Study):
         distance, nearest = self._tree.query(points)
         along = np.abs(((points - self._vertices[nearest]) * self._all_normals[nearest]).sum(axis=1))
         return np.where(distance < self.max_distance.value, along, np.nan)
-
-
-def rotation_angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Degrees between two poses (4, 4)."""
-    return float(np.degrees(np.arccos(np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1, 1))))
-
-
-__all__ = ["IcpRun", "IcpStudy", "depth_points", "displaced", "rotation_angle", "run_icp"]
-
-
-def pose_errors(session: Session, **changes) -> np.ndarray:
-    """(F, 2) error of the head pose of every tracked frame, mm and degrees, with parameters ``stage__name=value``."""
-    truth, actor = session.truth, session.actor
-    replay = Replay(session.frames, actor, Parameters().replace(**changes))
-    alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
-    centre = truth.neutral[actor.frontal].mean(axis=0)
-    return np.array(
-        [
-            pose_error(result.head_pose, truth[frame.index].head_pose, alignment, centre)
-            for result, frame in zip(replay.run(), session.frames, strict=True)
-            if result.tracked
-        ]
-    )

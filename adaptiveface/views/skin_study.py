@@ -2,97 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
 
-from ..errors import AdaptiveFaceError
-from ..geometry.frame import RgbdFrame
-from ..geometry.mesh import surface_points, vertex_normals
-from ..model.actor import Actor
-from ..model.skin import Skin
-from ..neutral.skin import gather_skin
-from ..parameters import Parameters
-from ..tracking.skin_term import SkinTerm
-from ..tracking.tracker import FaceTracker
-from ..tracking.types import TrackedFrame
+from ..geometry.mesh import vertex_normals
+from ..studies.measures import Measures
+from ..studies.session import Session
+from ..studies.skin import PATCH, SkinFrame, around
 from .figures import inked, picture
-from .measures import Measures
-from .session import Session
 
-#: Frames tracked before the one that is shown: the term starts from the last frame's displacement.
-_BEFORE = 8
-#: Samples within so many pixels are shown together.
-PATCH = 4.0
 #: An axis of an ellipse ends here, px: along an edge nothing is known.
 _LONGEST = 5.0
-
-
-@dataclass(frozen=True)
-class SkinFrame:
-    """One frame tracked without and with the colour term; ``samples`` (Q, 3) mm in the camera frame, ``term``: their rows."""
-
-    frame: RgbdFrame
-    without: TrackedFrame
-    coloured: TrackedFrame
-    samples: np.ndarray
-    term: SkinTerm
-
-    def pixels(self) -> np.ndarray:
-        """(Q, 2) px: where the samples lie in the picture."""
-        return self.frame.camera.project(self.samples)
-
-    def information(self) -> np.ndarray:
-        """(Q, 2, 2) 1/px^2: what each sample knows of its shift in the picture."""
-        across = self.coloured.head_pose[:2, :3]  # head frame to u and v
-        scale = self.frame.camera.fx / self.samples[:, 2]
-        return across @ self.term.matrices @ across.T / scale[:, None, None] ** 2
-
-
-def actor_with_skin(session: Session) -> Actor:
-    """The session's actor; where its skin is not known (a performer's exact features need no colour), with it."""
-    actor = session.actor
-    if actor.skin is not None:
-        return actor
-    tracker, views = FaceTracker(actor, Parameters()), []
-    for frame in session.neutral:
-        tracked = tracker.track(frame)
-        views += [(frame, tracked.head_pose)] if tracked.tracked and frame.colour is not None else []
-    return replace(actor, skin=gather_skin(actor, views, Parameters().skin)) if views else actor
-
-
-def track_skin(session: Session, index: int) -> SkinFrame:
-    """The first frame from ``index`` on in which the neutral's colours are found, without and with the colour term.
-
-    Raises :class:`AdaptiveFaceError` where there is none.
-    """
-    actor = actor_with_skin(session)
-    if actor.skin is None:
-        raise AdaptiveFaceError("the scan of this performance had no colour: dense skin needs it")
-    ways = [FaceTracker(actor, Parameters().replace(skin__on=on)) for on in (False, True)]
-    first = max(index - _BEFORE, 0)
-    for number, frame in enumerate(session.frames[first:], first):
-        last = ways[1].copy()
-        without, coloured = (way.track(frame) for way in ways)
-        if number >= index and without.tracked and coloured.tracked:
-            term = _rows(last, frame, coloured)
-            if term is not None:
-                skin: Skin = actor.skin.first(Parameters().skin.samples)
-                samples = surface_points(coloured.in_camera(coloured.v2), skin.triangles, skin.weights)
-                return SkinFrame(frame, without, coloured, samples, term)
-    raise AdaptiveFaceError(f"from frame {index} on, the neutral's colours are not found in any picture")
-
-
-def _rows(tracker: FaceTracker, frame: RgbdFrame, tracked: TrackedFrame) -> SkinTerm | None:
-    """The colours' rows for a frame, with the ``tracker`` as it was before it."""
-    local = tracker.region.vertices
-    measured = np.ones(len(local), bool)
-    assert tracker.skin is not None
-    looks = tracker.skin.look(frame, tracked.head_pose, tracked.v1[local], tracker.state.deformation, measured)
-    return None if looks is None else looks.first
 
 
 @inked()
@@ -140,26 +61,6 @@ def ellipses(shown: SkinFrame, apart: int = 12):
     close.add_collection(LineCollection(ends, colors="#ff5ad0", linewidths=0.9))
     close.set(xlim=(u - 38, u + 38), ylim=(v + 34, v - 34))
     return picture(figure, "Ellipses on the face: small on brows and lips, long along edges, large on plain skin.")
-
-
-def around(pixels: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """(Q, 2, 2) the information of all samples within ``PATCH`` of each one."""
-    neighbours = cKDTree(pixels).query_ball_point(pixels, PATCH)
-    return np.array([information[some].sum(axis=0) for some in neighbours])
-
-
-def aperture(shown: SkinFrame) -> str:
-    """In words: how many samples, and how many patches of samples, know one direction only."""
-
-    def single(information: np.ndarray) -> float:
-        low, high = np.linalg.eigvalsh(information).T
-        return float(np.mean(low[high > np.median(high)] < 0.1 * high[high > np.median(high)]))
-
-    pixels, information = shown.pixels(), shown.information()
-    return (
-        f"Of the samples that know the most, {single(information):.0%} know one direction ten times better than the other; "
-        f"of the patches\nof {PATCH:g} px, {single(around(pixels, information)):.0%}."
-    )
 
 
 def _face(axes, shown: SkinFrame, title: str) -> None:

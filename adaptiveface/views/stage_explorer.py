@@ -15,18 +15,18 @@ from ..geometry.frame import RgbdFrame
 from ..geometry.polydata import correctives, surface
 from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
+from ..studies.measures import Measures, Pane, model_features
+from ..studies.recorded import NAMED
+from ..studies.session import Session
 from ..tracking.types import TrackedFrame
 from ..tracking.verdict import verdict_of
 from .charts import LiveChart
 from .face_view import FaceView
 from .kernel import Displayed, on_main_thread
-from .measures import Measures, Pane, model_features
 from .parameter_panel import ParameterPanel
 from .pictures import CameraView
 from .player import Player
-from .recorded import NAMED
 from .replay import MakeTracker, Replay
-from .session import Session
 
 #: Rate at which the charts and the sensor's picture are redrawn in turn while a performance plays, per second. The face comes
 #: first.

@@ -2,106 +2,21 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
-
 import numpy as np
-import scipy.sparse as sp
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from scipy.linalg import polar
 from scipy.sparse.csgraph import reverse_cuthill_mckee
-from scipy.sparse.linalg import splu
 
-from ..geometry.mesh import surface_points, triangle_normals
-from ..model.actor import Actor
-from ..model.blendshapes import STILL, deformation_gradients, gradient_operator
-from ..model.face_model import FaceModel, embedded_face_model
 from ..report.pictures import Portraits
+from ..studies.expression_transfer import ExpressionTransfer, System
 from .charts import COLOURS
 from .figures import INK, inked, picture
 
-#: Numbers of the features on the middle of the upper and lower lid of each eye.
-LIDS = {"eyeBlinkRight": ((9, 13), (10, 12)), "eyeBlinkLeft": ((15, 19), (16, 18))}
 
+class TransferStudy(ExpressionTransfer):
+    """Pictures of the average head's expressions on their way to an actor's head."""
 
-@dataclass(frozen=True)
-class System:
-    """``matrix`` (n, n): G^T A G over the n vertices that move; ``order`` (n,): the solver's; ``factor`` (n, n) of it.
-
-    ``factorising`` and ``substituting``: seconds for the factor and for every expression's x, y and z.
-    """
-
-    matrix: sp.csr_matrix
-    order: np.ndarray
-    factor: sp.csc_matrix
-    factorising: float
-    substituting: float
-
-
-class TransferStudy:
-    """The average head's expressions on their way to an actor's head.
-
-    Parameters
-    ----------
-    actor : the head that the expressions are carried to, with the model's triangles.
-    model : whose expressions they are; the embedded one by default.
-    """
-
-    def __init__(self, actor: Actor, model: FaceModel | None = None) -> None:
-        self.actor, self.model = actor, model or embedded_face_model()
-        self.names = list(self.model.generic_names)
-
-    def change(self, name: str) -> np.ndarray:
-        """(T, 3, 3) deformation gradients S of the average head's triangles in an expression."""
-        model = self.model
-        return deformation_gradients(model.mean, model.mean + self._shape(name), model.triangles)
-
-    def turned(self, name: str) -> np.ndarray:
-        """(T,) angle of every triangle's rotation in an expression, degrees."""
-        rotation = np.linalg.svd(self.change(name))
-        trace = np.trace(rotation[0] @ rotation[2], axis1=1, axis2=2)
-        return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
-
-    def telling_triangle(self, name: str) -> int:
-        """Number of the triangle that changes most among the larger ones of the face that look to the front."""
-        triangles = self.model.triangles
-        normal = triangle_normals(self.model.mean, triangles)
-        size = np.linalg.norm(normal, axis=1)
-        frontal = self.actor.frontal[triangles].all(axis=1)
-        shown = frontal & (normal[:, 2] > 0.7 * size) & (size > np.median(size[frontal]))
-        change = np.linalg.norm(self.change(name) - np.eye(3), axis=(1, 2))
-        return int(np.where(shown, change, -1.0).argmax())
-
-    def system(self) -> System:
-        """The matrix of the transfer to this head, its fill-reducing order and its factor; without blendshapes.py's anchor."""
-        shapes = self.model.generic_expressions
-        moving = np.flatnonzero(np.linalg.norm(shapes, axis=2).max(axis=0) > STILL)
-        touched = self.model.triangles[np.isin(self.model.triangles, moving).any(axis=1)]
-        gradient, area = gradient_operator(self.actor.neutral, touched)
-        matrix = (gradient.T @ sp.diags(np.repeat(area, 3)) @ gradient)[moving][:, moving].tocsc()
-        start = time.perf_counter()
-        solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        middle = time.perf_counter()
-        solver.solve(np.ones((len(moving), 3 * len(shapes))))
-        order = np.argsort(solver.perm_c)
-        return System(matrix.tocsr(), order, solver.L, middle - start, time.perf_counter() - middle)
-
-    def gap(self, name: str, transferred: bool = True) -> tuple[float, float]:
-        """mm between the lids in a blink: of the average head, and of this one.
-
-        ``transferred`` False: with the average head's displacements copied vertex by vertex.
-        """
-        shape = self.actor.blendshapes[self.names.index(name)] if transferred else self._shape(name)
-        heads = self.model.mean + self._shape(name), self.actor.neutral + shape
-        at = self.model.feature_triangles, self.model.feature_weights
-        points = [surface_points(head, *at) for head in heads]
-        return tuple(float(np.mean([np.linalg.norm(p[a] - p[b]) for a, b in LIDS[name]])) for p in points)
-
-    def _shape(self, name: str) -> np.ndarray:
-        return self.model.generic_expressions[self.names.index(name)]
-
-    # ---- pictures ---------------------------------------------------------------------------------------------------
     @inked()
     def show_correspondence(self, name: str, triangle: int):
         """Both heads in an expression, coloured by how far each triangle turns; one triangle marked on both."""
@@ -110,7 +25,7 @@ class TransferStudy:
         angle = self._at_vertices(self.turned(name))
         angle[self.model.triangles[triangle]] = np.nan  # grey: the marked one
         personal = self.actor.neutral + self.actor.blendshapes[self.names.index(name)]
-        average = self.model.mean + self._shape(name)
+        average = self.model.mean + self.shape(name)
         titles = ("average head", f"{name}, average", "this head", f"{name}, this head")
         for axis, head, title in zip(axes, (self.model.mean, average, self.actor.neutral, personal), titles, strict=True):
             portraits = Portraits(self.actor, (300, 380), whole=False)
@@ -137,7 +52,7 @@ class TransferStudy:
         solved = target + self.actor.blendshapes[self.names.index(name)][corners]
         figure = Figure(figsize=(8.4, 3.0), layout="constrained")
         left, middle, right = figure.subplots(1, 3)
-        for points, colour, label in ((source, INK, "neutral"), (source + self._shape(name)[corners], COLOURS[0], name)):
+        for points, colour, label in ((source, INK, "neutral"), (source + self.shape(name)[corners], COLOURS[0], name)):
             _outline(left, points, _plane(source), colour, label)
         _outline(middle, target, _plane(target), INK, "neutral")
         _outline(middle, target @ s.T, _plane(target), COLOURS[1], "asked for", "--")

@@ -31,6 +31,7 @@ from ..sensors import open_source
 from ..sensors.numbered import Abilities
 from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
+from ..tracking.types import TrackedFrame
 from .recorded import read_take
 
 T = TypeVar("T")
@@ -115,6 +116,13 @@ class Session:
     def make_tracker(self, actor: Actor, parameters: Parameters) -> Tracker:
         """The tracker for these frames, which for a video is the one without depth."""
         return make_tracker(actor, parameters, self.colour_only)
+
+    def tracked(self, parameters: Parameters | None = None) -> Iterator[TrackedFrame]:
+        """Every frame of the performance, tracked by a new tracker with ``parameters``; our defaults without."""
+        tracker = self.make_tracker(self.actor, parameters or Parameters())
+        with one_blas_thread():
+            for frame in self.frames:
+                yield tracker.track(frame)
 
 
 def load_session(
