@@ -19,11 +19,11 @@ from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
 from .session import Session
 
-#: Frames tracked before the one that is shown: the term starts from the last frame's displacement.
+#: Number of frames tracked before the one that is shown, because the term starts from the last frame's displacement.
 _BEFORE = 8
 
 
-#: Samples within so many pixels are shown together.
+#: Samples within this distance, px, form a patch.
 PATCH = 4.0
 
 
@@ -50,18 +50,18 @@ class SkinFrame:
     term: SkinTerm
 
     def pixels(self) -> np.ndarray:
-        """(Q, 2) px: where the samples lie in the picture."""
+        """(Q, 2) places of the samples in the picture, px."""
         return self.frame.camera.project(self.samples)
 
     def information(self) -> np.ndarray:
-        """(Q, 2, 2) 1/px^2: what each sample knows of its shift in the picture."""
-        across = self.coloured.head_pose[:2, :3]  # head frame to u and v
+        """(Q, 2, 2) information of each sample about its shift in the picture, 1/px^2."""
+        across = self.coloured.head_pose[:2, :3]  # from the head frame to u and v
         scale = self.frame.camera.fx / self.samples[:, 2]
         return across @ self.term.matrices @ across.T / scale[:, None, None] ** 2
 
 
 def actor_with_skin(session: Session) -> Actor:
-    """The session's actor; where its skin is not known (a performer's exact features need no colour), with it."""
+    """The session's actor with its skin. If the capture did not gather it, the neutral frames are tracked to gather it now."""
     actor = session.actor
     if actor.skin is not None:
         return actor
@@ -73,9 +73,24 @@ def actor_with_skin(session: Session) -> Actor:
 
 
 def track_skin(session: Session, index: int) -> SkinFrame:
-    """The first frame from ``index`` on in which the neutral's colours are found, without and with the colour term.
+    """Track up to the first frame in which the neutral's colours are found, without and with the colour term.
 
-    Raises :class:`AdaptiveFaceError` where there is none.
+    Parameters
+    ----------
+    session : Session
+        With colour.
+    index : int
+        Number of the first frame that may be shown.
+
+    Returns
+    -------
+    SkinFrame
+        The frame and its two results.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        The scan had no colour, or no such frame exists.
     """
     actor = actor_with_skin(session)
     if actor.skin is None:
@@ -95,7 +110,7 @@ def track_skin(session: Session, index: int) -> SkinFrame:
 
 
 def _rows(tracker: FaceTracker, frame: RgbdFrame, tracked: TrackedFrame) -> SkinTerm | None:
-    """The colours' rows for a frame, with the ``tracker`` as it was before it."""
+    """The rows of the colours for a frame, from the ``tracker`` as it was before that frame."""
     local = tracker.region.vertices
     measured = np.ones(len(local), bool)
     assert tracker.skin is not None
@@ -104,13 +119,13 @@ def _rows(tracker: FaceTracker, frame: RgbdFrame, tracked: TrackedFrame) -> Skin
 
 
 def around(pixels: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """(Q, 2, 2) the information of all samples within ``PATCH`` of each one."""
+    """(Q, 2, 2) summed information of all samples within ``PATCH`` of each one, 1/px^2, from pixels (Q, 2)."""
     neighbours = cKDTree(pixels).query_ball_point(pixels, PATCH)
     return np.array([information[some].sum(axis=0) for some in neighbours])
 
 
 def aperture(shown: SkinFrame) -> str:
-    """In words: how many samples, and how many patches of samples, know one direction only."""
+    """Say how many samples, and how many patches of samples, know only one direction."""
 
     def single(information: np.ndarray) -> float:
         low, high = np.linalg.eigvalsh(information).T

@@ -1,7 +1,7 @@
 """Charts that are updated in place, fast enough to grow while a performance plays.
 
-A full Matplotlib drawing takes 50 ms and more. Here axes and labels are drawn once, and an update only draws the lines
-over a copy of them. Charts are transparent: they stand on light and on dark pages.
+A full Matplotlib drawing takes at least 50 ms. Here the axes and labels are drawn once, and an update only draws the lines
+over a copy of them. Charts are transparent, so that they suit light and dark pages.
 """
 
 from __future__ import annotations
@@ -20,18 +20,31 @@ from .pictures import encode, image_widget
 #: The colours of Okabe & Ito, which people with any colour vision can tell apart.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", INK)
 
-#: Little room between the entries of a legend.
+#: Narrow spacing between the entries of a legend.
 LEGEND_TIGHT = {"columnspacing": 1.0, "handletextpad": 0.3, "borderpad": 0.2}
-#: Widths in a legend, pixels: a line with the space around it, a letter.
+#: Widths in a legend, pixels: of a line with the space around it, and of a letter.
 LEGEND_HANDLE, LEGEND_LETTER = 42, 6
 
 _BAR = np.array([0x00, 0x72, 0xB2, 0xFF], np.uint8)  # the first of them
 
 
 class LiveChart:
-    """Lines over frame numbers (or any x) with fixed axes and a cursor. ``widget`` is what to display.
+    """Lines over frame numbers, or over any x, with fixed axes and a cursor. Display its ``widget``.
 
-    ``styles``: by name, what a line is drawn with instead (Matplotlib's ``Line2D`` properties).
+    Parameters
+    ----------
+    names : sequence of str
+        Of the lines.
+    x, y : (float, float)
+        Ends of the axes.
+    xlabel, ylabel, title : str
+        Their labels, and the title of the chart.
+    size : (int, int)
+        Width and height, pixels.
+    log : bool
+        Whether the y axis is logarithmic.
+    styles : dict, optional
+        Matplotlib's ``Line2D`` properties of the lines that do not have the default look, by name.
     """
 
     @inked()
@@ -79,7 +92,15 @@ class LiveChart:
         return image_widget(*size, format="png", name="adaptiveface-chart")
 
     def update(self, cursor: float = np.nan, **series) -> None:
-        """Lines by name: an array over 0, 1, 2, ... or a pair (x, y); NaN leaves a gap. ``cursor``: vertical line."""
+        """Draw other lines.
+
+        Parameters
+        ----------
+        cursor : float
+            Place of the vertical line; NaN hides it.
+        **series
+            For each name an array over 0, 1, 2, ..., or a pair (x, y). NaN leaves a gap.
+        """
         for name, values in series.items():
             x, y = values if isinstance(values, tuple) else (np.arange(len(values)), values)
             self._lines[name].set_data(x, y)
@@ -91,7 +112,7 @@ class LiveChart:
 
 
 def _copy(line: Line2D, name: str) -> Line2D:
-    """A line of the same look, for the legend."""
+    """A line that looks the same, for the legend."""
     copy = Line2D([], [], label=name)
     copy.update_from(line)
     copy.set_animated(False)
@@ -99,7 +120,7 @@ def _copy(line: Line2D, name: str) -> Line2D:
 
 
 class BarChart:
-    """Horizontal bars with fixed axes, updated in place: a number for each name. ``widget`` is what to display."""
+    """Horizontal bars with fixed axes: one number for each name, updated in place. Display its ``widget``."""
 
     @inked()
     def __init__(
@@ -118,7 +139,7 @@ class BarChart:
         self._background = pixels(canvas).copy()
 
         def places_of(data: np.ndarray) -> np.ndarray:
-            """(n, 2) px of data (n, 2)."""
+            """Places of data (n, 2) in the picture, (n, 2) px."""
             return axis.transData.transform(data)
 
         (self._left, _), (self._right, _) = places_of(np.array([[x[0], 0], [x[1], 0]]))
@@ -130,7 +151,7 @@ class BarChart:
         self.update(np.zeros(len(names)))
 
     def update(self, values: Sequence[float]) -> None:
-        """The bars' lengths; beyond the axis they end at its edge."""
+        """Draw bars of other lengths. A bar that is longer than the axis ends at its edge."""
         picture = self._background.copy()
         share = (np.nan_to_num(np.asarray(values, float)) - self._low) / (self._high - self._low)
         ends = np.rint(self._left + np.clip(share, 0, 1) * (self._right - self._left)).astype(int)
@@ -140,9 +161,18 @@ class BarChart:
 
 
 class GridChart:
-    """A table of numbers as a heat map that fills cell by cell (parameter sweeps).
+    """A table of numbers as a heat map that is filled cell by cell, for sweeps over parameters.
 
-    ``limits``: the colours' range, fixed from the start, so that a cell keeps its colour while others are filled.
+    Parameters
+    ----------
+    rows, columns : sequence
+        Values of the two parameters.
+    row_label, column_label, title : str
+        Labels of the axes, and the title.
+    limits : (float, float)
+        Range of the colours. It is fixed from the start, so that a cell keeps its colour while others are filled.
+    size : (int, int)
+        Width and height, pixels.
     """
 
     def __init__(
@@ -169,7 +199,7 @@ class GridChart:
 
     @inked()
     def draw(self) -> None:
-        """The map as it is now, as a picture."""
+        """Draw the map as it is now."""
         figure = Figure(figsize=(self._size[0] / 100, self._size[1] / 100), dpi=100, layout="constrained")
         canvas, axis = FigureCanvasAgg(figure), figure.add_subplot()
         low, high = self.limits

@@ -12,20 +12,42 @@ from ..insides import make_insides, moved
 from ..model.actor import Actor
 from . import heads, still
 
-#: Colour maps that people with any colour vision can order: of lengths, and of signed values.
+#: Colour maps for lengths and for signed values. People with any colour vision can order their colours.
 COLOURMAP, SIGNED = "viridis", "coolwarm"
 
 
 class FaceView:
-    """Heads of one topology, pane by pane. ``widget`` is what to display; the browser draws it and turns it.
+    """Heads of one topology in panes side by side. Display its ``widget``; the browser draws the heads and turns them.
 
-    ``titles``: one per pane. ``limits``, ``label``: range and meaning of every heat map ("distance in mm"); the colours are
-    those of signed values where the range begins below zero. ``shape`` (rows, columns) of the panes. ``centre`` (3,) mm of
-    what is looked at, ``radius`` mm of what is seen of it. ``compare``: with several panes a slider enlarges their
-    difference from the first one. Cameras are linked: turn, tilt and zoom act on all.
-    ``moving`` (N,) bool: of the other vertices nothing is sent while they rest.
+    The cameras are linked: turn, tilt and zoom act on all panes. Heads with the embedded model's mesh have eyes, teeth and a
+    tongue, which are fitted to ``vertices``.
 
-    Heads of the embedded model's mesh have eyes, teeth and tongue, fitted to ``vertices``, which are somebody's neutral head.
+    Parameters
+    ----------
+    vertices : (N, 3)
+        Somebody's neutral head, mm.
+    triangles : (T, 3)
+        Of every head.
+    titles : sequence of str
+        One per pane.
+    limits : (float, float)
+        Range of every heat map. If it begins below zero, the colours are those of signed values.
+    label : str
+        Meaning of every heat map, such as "distance in mm".
+    pane : (int, int)
+        Width and height of a pane, pixels.
+    centre : (3,), optional
+        The point that the cameras look at, mm; the middle of the vertices by default.
+    shape : (int, int), optional
+        Rows and columns of the panes; one row by default.
+    colourmap : str, optional
+        Name of another colour map.
+    radius : float
+        Radius of what a pane shows around the centre, mm.
+    compare : bool
+        Whether a slider enlarges the differences of the other panes from the first one.
+    moving : (N,) bool, optional
+        Vertices that may move. Nothing is sent of the others while they rest.
     """
 
     def __init__(
@@ -76,7 +98,7 @@ class FaceView:
 
     @classmethod
     def of(cls, actor: Actor, titles: Sequence[str] = ("",), **options) -> FaceView:
-        """The view of an actor's head, looking at the face."""
+        """Make the view of an actor's head, looking at the face."""
         centre = actor.neutral[actor.frontal].mean(axis=0)
         moving = actor.frontal | (actor.blendshapes != 0).any(axis=(0, 2))
         return cls(actor.neutral, actor.triangles, titles, centre=centre, moving=moving, **options)
@@ -91,10 +113,22 @@ class FaceView:
         turn: np.ndarray | None = None,
         neutral: np.ndarray | None = None,
     ) -> None:
-        """Put vertices (N, 3), head frame mm, into a pane, coloured by ``heat`` (N,); then :meth:`refresh`.
+        """Put a head into a pane. Call :meth:`refresh` afterwards.
 
-        ``gaze`` (2, 2): yaw and pitch of the left and the right eye, rad. ``turn`` (3, 3): a rotation about the view's centre.
-        ``neutral`` (N, 3): whose head it is, where it is not the one that the view began with.
+        Parameters
+        ----------
+        pane : int
+            Number of the pane.
+        vertices : (N, 3)
+            The head in the head frame, mm.
+        heat : (N,), optional
+            Values that colour it.
+        gaze : (2, 2), optional
+            Yaw and pitch of the left and the right eye, rad.
+        turn : (3, 3), optional
+            A rotation about the view's centre.
+        neutral : (N, 3), optional
+            The neutral of this head, mm, if it is not the head that the view began with.
         """
         shown = self._shown[pane]
         shown.vertices, shown.heat = np.asarray(vertices, float), None if heat is None else np.asarray(heat, float)
@@ -123,9 +157,22 @@ class FaceView:
         count: int = 6000,
         size: int = 3,
     ) -> None:
-        """A cloud of points (n, 3) in a pane, coloured by values (n,) in the view's range, lit by normals (n, 3).
+        """Put a cloud of points into a pane. Call :meth:`refresh` afterwards.
 
-        ``count``: at most so many points, evenly chosen; ``size``: of a point, pixels. Then :meth:`refresh`.
+        Parameters
+        ----------
+        pane : int
+            Number of the pane.
+        points : (n, 3)
+            The points in the head frame, mm.
+        values : (n,), optional
+            Values that colour them.
+        normals : (n, 3), optional
+            Unit normals for the light.
+        count : int
+            Largest number of points to show. They are chosen evenly.
+        size : int
+            Of a point, pixels.
         """
         pick = np.linspace(0, len(points) - 1, min(count, len(points))).astype(int)
         values = np.zeros(len(pick)) if values is None else np.asarray(values, float)[pick]
@@ -133,18 +180,18 @@ class FaceView:
         self._shown[pane].cloud = (np.asarray(points, float).reshape(-1, 3)[pick], values, normals, size)
 
     def look(self, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0) -> None:
-        """Camera ``turn`` degrees to the side and ``tilt`` degrees up from straight ahead, on every page that shows it."""
+        """Turn the camera to the side and tilt it upwards from straight ahead, degrees, on every page that shows the view."""
         self._image.camera = [float(turn), float(tilt), float(zoom)]
 
     def refresh(self) -> None:
-        """Send to the browser what has changed."""
+        """Send the changes to the browser."""
         if not self._closed:
-            with self._image.hold_sync():  # one message: a head never has the parts of another one
+            with self._image.hold_sync():  # one message, so that a head never has the parts of another one
                 self._image.rests = list(self._rests)
                 self._image.frame = self._frame()
 
     def _frame(self) -> list[dict]:
-        """What the browser shows, pane by pane."""
+        """The content of every pane, as the browser reads it."""
         out = []
         for k, shown in enumerate(self._shown):
             one = heads.shape(shown.vertices, shown.heat, self._compare and k > 0, shown.visible, self._moving)
@@ -154,17 +201,33 @@ class FaceView:
         return out
 
     def picture(self) -> np.ndarray:
-        """(H, W, 3) uint8 of the panes as they are now, drawn here: what a saved notebook shows without a kernel."""
+        """Draw the panes as they are now, (H, W, 3) uint8; a saved notebook shows this picture without a kernel."""
         image = self._image
         camera = still.Still(tuple(image.pane), self.centre, image.radius, *image.camera)
         panes = [still.picture(camera, s, self._triangles, self.limits, self.colourmap) for s in self._shown]
         return still.tiled(panes, image.grid[0], self.titles)
 
     def mesh(self, pane: int | str = 0, heat: np.ndarray | None = None):
-        """A pane's head as ``pyvista.PolyData`` in mm: x out of the face, y to the subject's left, z up.
+        """Return the head of a pane for pyvista.
 
-        ``pane``: its number, or how its title begins ("v2"); ``heat`` (N,): the array of that name, by default the values
-        that are shown. Raises KeyError for a title that does not exist, :class:`MissingExtraError` without pyvista.
+        Parameters
+        ----------
+        pane : int or str
+            Number of the pane, or the beginning of its title, such as "v2".
+        heat : (N,), optional
+            The array ``heat``; by default the values that are shown.
+
+        Returns
+        -------
+        pyvista.PolyData
+            The head in mm: x points out of the face, y to the subject's left, z up.
+
+        Raises
+        ------
+        KeyError
+            No title begins so.
+        MissingExtraError
+            pyvista is not installed.
         """
         if isinstance(pane, str):
             found = [k for k, title in enumerate(self.titles) if title.startswith(pane)]

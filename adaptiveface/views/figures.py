@@ -1,6 +1,6 @@
 """Matplotlib's figures as pictures for light and dark pages: transparent, with text in a grey that reads on both.
 
-A picture cannot ask the page for its colours, and a saved notebook is opened in many places: JupyterLab, VS Code, HTML.
+A picture cannot ask the page for its colours, and a saved notebook may be opened in JupyterLab, in VS Code or as HTML.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ _STYLE = {
 }
 
 
-#: Within ``with inked():``, or in a function decorated by ``@inked()``, new axes are transparent and their text is in INK.
+#: Inside ``with inked():``, or in a function decorated by ``@inked()``, new axes are transparent and their text is in INK.
 inked = partial(matplotlib.rc_context, _STYLE)
 
 
 def pixels(canvas: FigureCanvasAgg) -> np.ndarray:
-    """(H, W, 4) uint8 RGBA of what is drawn."""
+    """The drawn picture as RGBA, (H, W, 4) uint8."""
     return np.asarray(canvas.buffer_rgba())
 
 
 def picture(figure: Figure, words: str, dpi: int = 110):
-    """The figure as a PNG for IPython. ``words`` describe it for people who cannot see it."""
+    """Return the figure as a PNG for IPython. ``words`` describe it for people who cannot see it."""
     from IPython.display import Image
 
     FigureCanvasAgg(figure)

@@ -1,4 +1,4 @@
-"""For notebook 04: the bounded fit against its shortcuts, and the Kalman filter's jitter against its lag."""
+"""Show for notebook 04 the coefficients of one frame's fit, and those of a whole performance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,22 @@ from .replay import Replay
 
 @inked()
 def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], title: str = ""):
-    """Bars per expression and solution, with the allowed range [0, 1] in grey, as a PNG that saved notebooks keep."""
+    """Draw the coefficients of several solutions as bars, with the allowed range [0, 1] in grey.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the A expressions.
+    solutions : dict
+        Coefficients (A,) by the name of the solution.
+    title : str
+        Of the figure.
+
+    Returns
+    -------
+    IPython.display.Image
+        A PNG, which saved notebooks keep.
+    """
     figure = Figure(figsize=(9.2, 3.6), dpi=100, layout="constrained")
     axis = figure.add_subplot()
     axis.axhspan(0, 1, color=INK, alpha=0.2, lw=0, zorder=0)
@@ -30,7 +45,20 @@ def coefficient_bars(names: Sequence[str], solutions: dict[str, np.ndarray], tit
 
 
 def coefficient_chart(session: Session, chosen: Sequence[int]):
-    """The chart of some expressions' fitted coefficients over the performance, and its source for a workbench."""
+    """Make a chart of the fitted coefficients of some expressions over the performance.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    chosen : sequence of int
+        Numbers of the expressions.
+
+    Returns
+    -------
+    (LiveChart, ChartSource)
+        The chart and its source, for a :class:`~adaptiveface.views.StageExplorer`.
+    """
     names = [session.actor.expression_names[k] for k in chosen]
     chart = LiveChart(names, (0, len(session.frames) - 1), (-0.05, 1.05), "frame", "coefficient", "the liveliest coefficients")
 
@@ -39,7 +67,7 @@ def coefficient_chart(session: Session, chosen: Sequence[int]):
         for index, result in enumerate(replay.results):
             if result is not None and result.tracked:
                 for name, k in zip(names, chosen, strict=True):
-                    if k < len(result.coefficients_initial):  # fewer where the parameter A is lowered
+                    if k < len(result.coefficients_initial):  # there are fewer if the parameter A is lowered
                         out[name][index] = result.coefficients_initial[k]
         return out
 

@@ -1,8 +1,8 @@
 """Handle callbacks, errors and background tasks of views inside a Jupyter kernel.
 
 JupyterLab runs widget callbacks on a second thread ("subshell"), where they would change trackers and views in the middle of
-what a cell or a background task does with them. Callbacks are therefore handed to the kernel's main loop. Of several that
-arrive while the loop is busy, only the newest runs. Long work is an asyncio task of that loop, cut into short steps, so the
+what a cell or a background task does with them. Callbacks are therefore handed to the kernel's main loop. If several
+arrive while the loop is busy, only the newest one runs. Long work is an asyncio task of that loop, cut into short steps, so the
 views have no threads of their own.
 """
 
@@ -51,7 +51,10 @@ class Displayed:
 
 
 def on_main_thread(function: Callable) -> Callable:
-    """Run a widget callback on the kernel's main thread; the newest call wins. Decorate in code that a cell calls."""
+    """Decorate a widget callback so that it runs on the kernel's main thread, and only the newest of several waiting calls.
+
+    The decorator must be applied in code that a cell calls.
+    """
     loop, waiting, lock = running_loop(), [], threading.Lock()
 
     def run_newest() -> None:
@@ -63,7 +66,7 @@ def on_main_thread(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def wrapper(*arguments, **options):
-        """Run at once on the main thread; from any other thread, as soon as the main thread is free."""
+        """Run at once on the main thread. On any other thread, wait until the main thread is free."""
         if loop is None or threading.current_thread() is threading.main_thread():
             return function(*arguments, **options)
         with lock:
@@ -78,7 +81,7 @@ def on_main_thread(function: Callable) -> Callable:
 
 @contextmanager
 def shown_errors(show: Callable[[str], None]):
-    """Catch errors: ``show`` gets a message as HTML ("" when all went well); it is also raised if :func:`strict`."""
+    """Catch errors and pass their message to ``show`` as HTML, or "" if there was none. If :func:`strict`, also raise them."""
     try:
         yield
     except Exception as error:
@@ -91,7 +94,7 @@ def shown_errors(show: Callable[[str], None]):
 
 
 class BackgroundTask:
-    """At most one asyncio task: starting another one stops it. In plain Python, without a loop, it runs to its end."""
+    """At most one asyncio task. Starting another one stops it. In plain Python, without a loop, a task runs to its end."""
 
     def __init__(self) -> None:
         self._task: asyncio.Task | None = None
@@ -99,7 +102,7 @@ class BackgroundTask:
 
     @property
     def running(self) -> bool:
-        """Whether the task has begun and not ended."""
+        """Whether the task has begun and has not ended."""
         return self._task is not None and not self._task.done()
 
     def start(self, coroutine: Coroutine) -> None:
@@ -127,7 +130,7 @@ class BackgroundTask:
 
 
 def _tell(task: asyncio.Task) -> None:
-    """Show an error that nobody waits for under the cell, which also fails a test run of the notebook."""
+    """Show an error that nobody waits for under the cell. It also fails a test run of the notebook."""
     if not task.cancelled() and task.exception() is not None:
         from IPython import get_ipython
 
@@ -137,5 +140,5 @@ def _tell(task: asyncio.Task) -> None:
 
 
 def running_tasks() -> int:
-    """Number of background tasks that still run (0 once every view is closed)."""
+    """Number of background tasks that are still running; 0 when every view is closed."""
     return sum(task.running for task in _tasks)

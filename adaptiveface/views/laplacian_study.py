@@ -1,4 +1,4 @@
-"""Compare for notebook 05: equation (7) exactly as printed, other Laplacians, holes in the depth map."""
+"""Show for notebook 05 what equation (7) does exactly as printed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..tracking.types import TrackedFrame
 
 
 def printed_pane(session: Session):
-    """A pane: v1 deformed by :class:`PrintedEquation` with the panel's w1, w2; colour: the displacement's length."""
+    """Make a pane of v1 deformed by :class:`PrintedEquation` with the panel's w1 and w2; colours are displacements."""
     equation, frontal = PrintedEquation(session.actor, session.camera), session.actor.frontal
 
     def pane(result: TrackedFrame, frame: RgbdFrame, parameters: Parameters):
-        """Vertices and heat of one frame."""
+        """The vertices (N, 3) of one frame, mm, and their heat (N,)."""
         heat = np.full(len(frontal), np.nan)
         if not result.tracked:
             return result.v1, heat

@@ -14,7 +14,7 @@ from ..sensors.catalogue import list_sensors
 from .kernel import ALERT
 from .parameter_panel import ParameterPanel
 
-#: The tracker's stages act on the next frame, the neutral's on the next scan.
+#: Parameters of the tracker's stages act on the next frame, and those of the neutral's stages on the next scan.
 STAGES = (
     "laplacian",
     "skin",
@@ -67,7 +67,7 @@ def dropped_frames(statistics: LiveStatistics) -> tuple[int, int, int]:
 
 
 def figures(statistics: LiveStatistics, dropped: Sequence[int], rate: float, correctives: int, recorded: int | None) -> str:
-    """Latency, rates, lost frames; ``rate``: pictures a second, ``recorded``: frames on disk, None without recording."""
+    """Latency, rates and lost frames. ``rate``: pictures per second; ``recorded``: frames on disk, or None."""
     return (
         f"latency {statistics.latency_ms_p50:.0f} ms (95 %: {statistics.latency_ms_p95:.0f} ms), "
         f"{statistics.fps:.0f} frames/s tracked, {rate:.0f} pictures/s; frames dropped by the sensor {dropped[0]}, "
@@ -84,7 +84,7 @@ def _button(text: str, icon: str, tooltip: str, name: str, toggle: bool = False,
 
 
 class LiveControls:
-    """Widgets by name; ``widget`` holds them all around the boxes ``pictures`` and ``curves``."""
+    """The widgets by name. ``widget`` holds all of them, around the boxes ``pictures`` and ``curves``."""
 
     def __init__(
         self,

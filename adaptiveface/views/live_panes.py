@@ -29,7 +29,7 @@ HISTORY = 300
 
 
 class MeshPane:
-    """The tracked mesh v4 in the head's pose with a heat map; during the neutral scan, its coverage."""
+    """The tracked mesh v4 in the head's pose with a heat map. During the neutral scan, it shows the coverage."""
 
     def __init__(self, size: tuple[int, int] = (270, 290)) -> None:
         self._size, self._view, self._actor, self._gaze = size, None, None, None
@@ -43,7 +43,7 @@ class MeshPane:
         self.widget = widgets.VBox([], layout=widgets.Layout(width=f"{size[0] + 15}px"))
 
     def show_scan(self, coverage: np.ndarray, pose: np.ndarray | None) -> None:
-        """The average head, coloured by the share (V,) of the views that depth still has to give."""
+        """Show the average head, coloured by the share (V,) of the views that the scan still needs."""
         model = embedded_face_model()
         if self._actor is not model:
             self._open(model, model.mean, "seen by depth", (0.0, 1.0), "share of the views wanted (1: enough)", False)
@@ -92,18 +92,18 @@ class MeshPane:
 
 
 class InputPane:
-    """The sensor's picture, with the 2D features and the model drawn over it."""
+    """The sensor's picture with the 2D features and the model over it."""
 
     def __init__(self, size: tuple[int, int] = (250, 290)) -> None:
         self.camera = CameraView(size, "input: features (yellow), model (blue)")
         self.widget = self.camera.widget
 
     def show_scan(self, frame) -> None:
-        """A frame of the neutral scan."""
+        """Show a frame of the neutral scan."""
         self.camera.show(frame)
 
     def show(self, actor: Actor, result: LiveResult) -> None:
-        """A tracked frame."""
+        """Show a tracked frame."""
         tracked = result.tracked
         if not tracked.tracked:
             self.camera.show(result.frame)
@@ -124,7 +124,7 @@ class CharacterPane:
         self.widget = widgets.VBox([widgets.HTML(f"<b>{self.character.name}</b>"), self._image])
 
     def show(self, actor: Actor, result: LiveResult) -> None:
-        """A tracked frame."""
+        """Show a tracked frame."""
         tracked = result.tracked
         if tracked.tracked:
             names = actor.expression_names[: len(tracked.coefficients)]
@@ -136,9 +136,9 @@ class CharacterPane:
 
 
 class CurvesPane:
-    """Figure 11 over the last frames; the coefficients and the milliseconds of every stage.
+    """Figure 11 over the last frames, the coefficients, and the milliseconds of every stage.
 
-    ``curves.widget`` is the chart of figure 11, which stands beside the pictures; ``widget`` holds the others.
+    ``curves.widget`` is the chart of figure 11, which is placed beside the pictures. ``widget`` holds the other charts.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The live view: pick a sensor, scan the neutral face under guidance, then watch and steer the tracking."""
+"""Track live in a notebook: choose a sensor, scan the neutral face under guidance, then watch and steer the tracking."""
 
 from __future__ import annotations
 
@@ -36,13 +36,25 @@ _DEGRADED = "<b>colour only: no depth, degraded.</b> Pose and expression come fr
 
 
 class LiveView(Displayed):
-    """``sensor``: a name for :func:`~adaptiveface.sensors.open_sensor`, an open sensor, or None to choose one on the page.
+    """A page for live tracking. Display its ``widget``; :meth:`close` ends every thread.
 
-    ``actor``: an :class:`Actor` or its file; without one the neutral scan comes first, ``seconds`` long. ``character``: a
-    built-in or own one that follows; ``detect``: MediaPipe even where the sensor brings features. ``widget`` is what to
-    display; :meth:`close` ends every thread. One view runs at a time: a view that starts, for example because its cell is run
-    once more, stops the one before. The view draws on the kernel's event loop, always the newest result. From code, use
-    :meth:`until` and the methods behind the buttons.
+    Only one view runs at a time. A view that starts stops the one before, for example when its cell runs again. The view
+    always draws the newest result, on the kernel's event loop. In code, use :meth:`until` and the methods behind the buttons.
+
+    Parameters
+    ----------
+    sensor : LiveSensor or str, optional
+        An open sensor, or a name for :func:`~adaptiveface.sensors.open_sensor`. Without it, the sensor is chosen on the page.
+    actor : Actor or path-like, optional
+        The rig or its file. Without it, the neutral scan comes first.
+    character : str, optional
+        A built-in character, or a file with another one, that follows the performance.
+    parameters : Parameters, optional
+        Our defaults without.
+    seconds : float
+        Length of the neutral scan.
+    detect : bool
+        Whether MediaPipe finds the features even if the sensor brings some.
     """
 
     _running: ClassVar[LiveView | None] = None
@@ -77,12 +89,12 @@ class LiveView(Displayed):
 
     @property
     def widget(self):
-        """What to display."""
+        """The widget to display."""
         return self.controls.widget
 
     # ---- what the buttons do, from code as well --------------------------------------------------------------------
     def start(self) -> None:
-        """Open the sensor that is chosen; needs a running event loop (a notebook)."""
+        """Open the chosen sensor. A running event loop is needed, as in a notebook."""
         if running_loop() is None:
             raise AdaptiveFaceError("the live view needs a running event loop: use it in a notebook")
         self.stop()
@@ -98,7 +110,7 @@ class LiveView(Displayed):
             LiveView._running = self
 
     def stop(self) -> None:
-        """Close the sensor and end every thread; the last pictures stay, and :meth:`start` begins again."""
+        """Close the sensor and end every thread. The last pictures stay, and :meth:`start` begins again."""
         self._task.stop()
         if LiveView._running is self:
             LiveView._running = None
@@ -116,11 +128,11 @@ class LiveView(Displayed):
         self.widget.close()
 
     def set(self, **values) -> None:
-        """Move sliders: ``set(laplacian__w2=100)``; acts on the next frame."""
+        """Move sliders: ``set(laplacian__w2=100)``. They act on the next frame."""
         self.controls.panel.set(**values)
 
     def finish_scan(self) -> None:
-        """End the neutral scan now, and build the head from it."""
+        """End the neutral scan now and build the head from it."""
         if self.run is not None:
             self.run.finish_scan()
 
@@ -134,7 +146,7 @@ class LiveView(Displayed):
     def freeze(self, on: bool = True) -> None:
         """Stop or resume learning correctives."""
         if self.controls.freeze.value != on:
-            self.controls.freeze.value = on  # this calls back
+            self.controls.freeze.value = on  # this calls the function again
         elif self.run is not None and self.run.session is not None:
             self.run.session.freeze(on)
 
@@ -166,7 +178,20 @@ class LiveView(Displayed):
         self._say(f"saved {path}")
 
     async def until(self, condition: Callable[[LiveView], bool], timeout: float = 120.0) -> LiveView:
-        """Wait until ``condition(view)``, e.g. ``lambda v: v.drawn > 30``; raises what failed, or on ``timeout`` s."""
+        """Wait until a condition holds.
+
+        Parameters
+        ----------
+        condition : callable
+            ``condition(view)`` -> bool, for example ``lambda view: view.drawn > 30``.
+        timeout : float
+            Longest time to wait, s.
+
+        Raises
+        ------
+        TimeoutError
+            The condition did not hold in time. An error that stopped the view is raised instead.
+        """
         end = time.perf_counter() + timeout
         while not condition(self):
             if self.run is not None and self.run.error is not None:
@@ -180,7 +205,7 @@ class LiveView(Displayed):
         return self
 
     def _give_way(self) -> None:
-        """Stop, because another view starts. Two views would compete for the camera and the processor."""
+        """Stop because another view starts. Two views would compete for the camera and the processor."""
         with self._shown():
             self.stop()
             self._say("stopped: another live view was started")
@@ -194,7 +219,7 @@ class LiveView(Displayed):
             await asyncio.sleep(max(1 / PICTURES - (time.perf_counter() - began), 0.005))
 
     def _step(self) -> None:
-        """Draw what is new."""
+        """Draw the newest result."""
         if self.run.state != self._shown_state:
             self._show_state()
         if self.run.state == SCANNING:
@@ -234,7 +259,7 @@ class LiveView(Displayed):
             self.drawn += 1
         if session is not None and now >= self._chart_due:
             self._draw_figures(session)
-            # Later on a busy machine: the face comes first.
+            # On a busy machine this waits, because the face comes first.
             self._chart_due = now + max(1 / CHARTS, 8 * (time.perf_counter() - now))
 
     def _draw_figures(self, session) -> None:
@@ -246,7 +271,7 @@ class LiveView(Displayed):
         rate = (self.drawn - drawn) / max(now - before, 1e-3)
         dropped = [now - before for now, before in zip(dropped_frames(statistics), self._dropped_before, strict=True)]
         if self._recorder is not None and self._recorder.error is not None:
-            self.record(False)  # raises what stopped it
+            self.record(False)  # raises the error that stopped it
         recorded = self._recorder.frames if self._recorder else None
         correctives = session.model.mix.shape[1]
         self.controls.figures.value = figures(statistics, dropped, rate, correctives, recorded)
@@ -266,8 +291,8 @@ class LiveView(Displayed):
         self.controls.status.value = label + html.escape(texts.get(state, state))
         if state == TRACKING:
             self.controls.panel.limit_expressions(self._expressions)
-            self.result = None  # results of another session count from zero again
-            self._dropped_before = dropped_frames(self.run.session.statistics)  # while the head was built
+            self.result = None  # the results of another session are counted from zero
+            self._dropped_before = dropped_frames(self.run.session.statistics)  # while the head was being built
             if self.run.guidance is not None and self.run.guidance.warnings:
                 self.controls.status.value += html.escape(f" ({'; '.join(self.run.guidance.warnings)})")
             if self.controls.freeze.value and self.run.session is not None:
@@ -278,10 +303,10 @@ class LiveView(Displayed):
         c = self.controls
 
         def acts(action: Callable) -> Callable:
-            """What calls ``action`` without arguments on the kernel's main thread; its errors end in the panel."""
+            """Return a callback that calls ``action`` on the kernel's main thread and shows its errors in the panel."""
 
             def guarded(*_) -> None:
-                """Whatever the widget says of the event is ignored."""
+                """The widget's arguments are ignored."""
                 with self._shown():
                     action()
 
@@ -314,7 +339,7 @@ class LiveView(Displayed):
 
     @property
     def _expressions(self) -> int:
-        """How many expressions the actor has; before there is one, as many as the neutral scan gives it."""
+        """Number of expressions of the actor, or of the actor that the neutral scan will give."""
         actor = self._actor if self.run is None else self.run.actor
         return len(actor.blendshapes if isinstance(actor, Actor) else embedded_face_model().generic_expressions)
 
@@ -331,7 +356,7 @@ class LiveView(Displayed):
 
     @contextmanager
     def _shown(self):
-        """Show errors in the panel, and stop what cannot go on; also raise them where :func:`strict`."""
+        """Show errors in the panel and stop what cannot continue. If :func:`strict`, also raise them."""
         try:
             yield
         except Exception as error:

@@ -1,4 +1,4 @@
-"""For notebooks 01 and 02: the neutral scan growing, identity modes, shrink-wrap, and the personal expressions."""
+"""Show for notebooks 01 and 02 how the neutral scan grows, the identity modes, the shrink-wrap and the personal expressions."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _STYLE = {"description_width": "130px"}
 
 
 class _Study(Displayed, ABC):
-    """Controls over a face view: ``widget`` is what to display; a change calls ``draw``, whose errors are shown."""
+    """Controls beside a face view. Display its ``widget``. A change calls ``draw``, and errors are shown."""
 
     view: FaceView
 
     def _assemble(self, controls: Sequence[widgets.Widget]) -> None:
-        self.message = widgets.HTML(layout=widgets.Layout(max_width=_WIDE.width))  # a long note breaks into lines
+        self.message = widgets.HTML(layout=widgets.Layout(max_width=_WIDE.width))  # so that a long note is wrapped
         self._draw_on_main = on_main_thread(self._redraw)
         for control in controls:
             control.observe(lambda change: self._draw_on_main(), "value")
@@ -52,7 +52,7 @@ class _Study(Displayed, ABC):
 
     @abstractmethod
     def draw(self) -> None:
-        """Bring the view's panes up to date with the controls; every study has its own."""
+        """Update the view's panes from the controls."""
 
     def close(self) -> None:
         """Send nothing more. The last picture stays."""
@@ -60,11 +60,11 @@ class _Study(Displayed, ABC):
 
 
 class ScanStudy(_Study):
-    """Frames of the neutral face join the merged scan; its volume has a grid of adjustable spacing."""
+    """The merged scan of any number of neutral frames, with voxels of any size."""
 
     def __init__(self, session: Session, voxel: float = 2.0) -> None:
         self.session, self.model = session, embedded_face_model()
-        # A recording may begin before the detector finds a face: the first frame to merge must show one.
+        # A recording may begin before the detector finds a face, but the first frame to merge must show one.
         self.neutral = [frame for frame in session.neutral if frame.features is not None] or session.neutral
         most = len(self.neutral)
         self.view = FaceView(
@@ -122,16 +122,27 @@ class IdentityStudy(_Study):
         self._assemble(self.sliders)
 
     def draw(self) -> None:
-        """Show the head of the chosen identity coefficients, coloured by its distance from the mean, mm."""
+        """Show the head with the chosen identity coefficients, coloured by its distance from the mean, mm."""
         vertices = self.model.neutral(np.array([slider.value for slider in self.sliders]))
         self.view.show(0, vertices, np.linalg.norm(vertices - self.model.mean, axis=1), neutral=vertices)
 
 
 class ShrinkWrapStudy(_Study):
-    """The fitted head before and after the shrink-wrap, coloured by the distance to the scan, for any stiffness."""
+    """The fitted head before and after the shrink-wrap of any stiffness, coloured by the distance to the scan.
+
+    Parameters
+    ----------
+    scan : FusedScan
+        In the head frame, from :class:`~adaptiveface.neutral.capture.NeutralCapture`.
+    fit : IdentityFit
+        From the same capture.
+    truth : GroundTruth, optional
+        Of the performer.
+    stiffness : float
+        Where the slider begins.
+    """
 
     def __init__(self, scan: FusedScan, fit: IdentityFit, truth: GroundTruth | None = None, stiffness: float = 0.3) -> None:
-        """``scan`` (in the head frame) and ``fit`` of a :class:`~adaptiveface.neutral.capture.NeutralCapture`."""
         self.truth = truth
         self.model, self.scan, self.fit, self._search = embedded_face_model(), scan, fit, ScanSearch(scan)
         self.view = FaceView(
@@ -155,9 +166,9 @@ class ShrinkWrapStudy(_Study):
         self._assemble([self.stiffness])
 
     def draw(self) -> None:
-        """Wrap the fitted head onto the scan with the chosen stiffness, and show both heads' distance to it, mm."""
+        """Wrap the fitted head onto the scan with the chosen stiffness, and show the distance of both heads to it, mm."""
         last = self.stiffness.value
-        # Without the fine per-vertex step, which would reach the scan whatever the stiffness.
+        # The fine per-vertex step is left out, because it would reach the scan with any stiffness.
         parameters = ShrinkWrapParameters(rigidity_start=max(100.0, last), rigidity_end=last, detail_iterations=0)
         self.wrap = shrink_wrap(self.scan, self.model, self.fit.vertices, parameters)
         after = self.distance(self.wrap.vertices)
@@ -168,7 +179,7 @@ class ShrinkWrapStudy(_Study):
             self.note += f", to the true face {np.median(distance_to_truth(self.wrap.vertices, self.truth)):.3f} mm"
 
     def distance(self, vertices: np.ndarray) -> np.ndarray:
-        """(V,) point-to-plane distance to the scan, mm; NaN where the scan has nothing."""
+        """(V,) point-to-plane distance to the scan, mm; NaN where the scan has no points."""
         normals = vertex_normals(vertices, self.model.triangles)
         found = self._search.correspondences(vertices, normals, self.model.frontal, 10.0, 50.0)
         out = np.full(len(vertices), np.nan)
@@ -177,7 +188,7 @@ class ShrinkWrapStudy(_Study):
 
 
 class ExpressionStudy(_Study):
-    """The generic expressions as sliders, on the model's average head and on the actor's, side by side."""
+    """Sliders for the generic expressions, with the model's average head and the actor's head side by side."""
 
     def __init__(self, actor: Actor, model: FaceModel | None = None, start: dict[str, float] | None = None) -> None:
         self.actor, self.model = actor, model or embedded_face_model()
@@ -193,7 +204,7 @@ class ExpressionStudy(_Study):
         self._assemble(list(self.sliders.values()))
 
     def draw(self) -> None:
-        """Show the chosen expression on every pane's head."""
+        """Show the chosen expression on both heads."""
         x = np.array([slider.value for slider in self.sliders.values()])
         for pane, (neutral, shapes) in enumerate(
             (

@@ -1,4 +1,4 @@
-"""Sliders for the method's parameters, made from ``parameters.describe()``: nothing is written twice."""
+"""Make sliders for the method's parameters from ``parameters.describe()``, so that nothing is written twice."""
 
 from __future__ import annotations
 
@@ -25,23 +25,34 @@ TITLES = {
     "adaptive_pca": "adaptive PCA (5)",
     "personal_blendshapes": "personal blendshapes",
 }
-#: Jupyter's tabs have one width and cut longer titles off.
+#: Shorter titles. All of Jupyter's tabs have the same width, and longer titles are cut off.
 TAB_STYLE = "<style>.adaptiveface-tabs .lm-TabBar-tab {flex: 0 0 auto !important; max-width: none !important}</style>"
-#: The number of expressions used; an actor has only so many.
+#: The number of expressions in use, which cannot exceed that of the actor.
 EXPRESSIONS = "blendshapes.A"
-#: Names that are too long for the place beside a slider, and what stands there.
+#: Names that are too long for the space beside a slider, and their short forms.
 LABELS = {"max_correspondence_distance": "max_distance", "max_reprojection_error": "max_reprojection"}
 OnChange = Callable[[Parameters], None]
 
 
 class ParameterPanel:
-    """One control per parameter. ``widget`` is what to display; ``parameters`` the values that were last applied.
+    """One control per parameter. Display its ``widget``; ``parameters`` holds the values that were applied last.
 
-    ``names``: stages ("laplacian") or parameters ("adaptive_pca.K"), in the order of display; several stages become
-    tabs. ``on_change(parameters)`` is called for every change. When it refuses the change, or a value is out of range, the
-    panel shows the message and ``parameters`` stays as it was. ``ranges``: name -> (low, high), for a slider narrower than the
-    parameter's own range. ``expressions``: how many the actor has, where A's slider ends. Buttons set the paper's value
-    where it differs from the default, and go back. A parameter changes only when its control is moved.
+    A parameter changes only when its control is moved. Buttons set the paper's value if it differs from the default, and go
+    back. If ``on_change`` refuses a change, or a value is out of range, the panel shows the message and ``parameters`` keeps
+    its values.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stages ("laplacian") or parameters ("adaptive_pca.K") in the order of display. Several stages become tabs.
+    on_change : callable, optional
+        ``on_change(parameters)`` is called for every change.
+    parameters : Parameters, optional
+        The first values; our defaults without.
+    ranges : dict, optional
+        (low, high) by name, for sliders that are narrower than the parameter's own range.
+    expressions : int, optional
+        Number of the actor's expressions, at which A's slider ends.
     """
 
     def __init__(
@@ -55,7 +66,7 @@ class ParameterPanel:
         self.parameters = self._start = parameters or Parameters()
         self.on_change = on_change or (lambda parameters: None)
         self.controls: dict[str, widgets.Widget] = {}
-        self._stands_for: dict[str, tuple] = {}  # what a control shows, and the exact value that it shows so
+        self._stands_for: dict[str, tuple] = {}  # what a control shows, and the exact value behind it
         self._quiet = False
         self._apply_on_main = on_main_thread(self._apply)
         self.message = widgets.HTML()
@@ -74,11 +85,11 @@ class ParameterPanel:
         self.widget.add_class("adaptiveface-numbers")
 
     def __getitem__(self, name: str) -> widgets.Widget:
-        """The slider of "stage.name"; setting its ``value`` acts like moving it."""
+        """Return the slider of "stage.name". Setting its ``value`` has the effect of moving it."""
         return self.controls[Parameters.current_name(name)]
 
     def set(self, **values) -> None:
-        """Move several sliders at once, named ``stage__name``; applied together."""
+        """Move several sliders, named ``stage__name``, and apply their values together."""
         values = {Parameters.current_name(name): value for name, value in values.items()}
         wanted = None
         with self._errors_shown():
@@ -88,11 +99,11 @@ class ParameterPanel:
             self._apply_on_main()
 
     def reset(self) -> None:
-        """Every slider back to where it started."""
+        """Move every slider back to its first value."""
         self.set(**{name: _value(self._start, name) for name in self.controls})
 
     def limit_expressions(self, count: int) -> None:
-        """Let A's slider, if there is one, end at the ``count`` expressions of an actor; A itself stays as it is."""
+        """Let A's slider, if there is one, end at the number of an actor's expressions. A itself does not change."""
         slider = self.controls.get(EXPRESSIONS)
         if slider is not None:
             exact = self._shown(EXPRESSIONS)
@@ -101,7 +112,7 @@ class ParameterPanel:
             self._show({EXPRESSIONS: exact})
 
     def _show(self, values: dict) -> None:
-        """Let the controls show exact values by name, without a change."""
+        """Let the controls show exact values, by name, without applying a change."""
         with self._silence():
             for name, value in values.items():
                 control = self.controls[name]
@@ -112,7 +123,7 @@ class ParameterPanel:
 
     @contextmanager
     def _silence(self):
-        """Controls that move in here do not call back."""
+        """Context in which controls can be moved without a call of ``on_change``."""
         self._quiet = True
         try:
             yield
@@ -120,13 +131,13 @@ class ParameterPanel:
             self._quiet = False
 
     def _grouped(self, groups: dict[str, list[widgets.Widget]]) -> widgets.Widget:
-        # As high as the heads beside it: what is used most comes first, and the rest is scrolled to.
+        # The box is as high as the heads beside it. The most used sliders come first, and the others are reached by scrolling.
         boxes = [widgets.VBox(rows, layout=widgets.Layout(max_height="240px", overflow="auto")) for rows in groups.values()]
         if len(boxes) == 1:
             (stage,) = groups
             return widgets.VBox([widgets.HTML(f"<b>{TITLES.get(stage, stage)}</b>"), *boxes])
         titles = [TITLES.get(stage, stage) for stage in groups]
-        if len(titles) > 5:  # no room for the sections
+        if len(titles) > 5:  # there is no room for the sections
             titles = [title.partition(" (")[0] for title in titles]
         tabs = widgets.Tab(boxes, titles=titles)
         tabs.add_class("adaptiveface-tabs")
@@ -170,7 +181,7 @@ class ParameterPanel:
         return shown_errors(lambda text: setattr(self.message, "value", text))
 
     def _shown(self, name: str):
-        """The value that a control shows: the exact one where nobody moved it."""
+        """The value of a control, which is the exact one until it is moved."""
         (shown, exact), value = self._stands_for[name], self.controls[name].value
         return exact if value == shown else value
 
@@ -185,13 +196,13 @@ def _value(parameters: Parameters, name: str):
 
 
 def _control_for(row: dict, value, limits) -> widgets.Widget:
-    """A control that holds the value, the default and the paper's value exactly."""
+    """Make a control that can hold the value, the default and the paper's value exactly."""
     if isinstance(value, bool):
         return widgets.Checkbox(value, indent=True)
     if row["choices"]:
         return widgets.Dropdown(options=row["choices"], value=value)
     low, high = limits or (row["low"], row["high"])
-    if isinstance(value, int):  # whole numbers come back as they are
+    if isinstance(value, int):  # whole numbers come back unchanged
         return widgets.IntSlider(value, min=min(int(low), value), max=max(int(high), value))
     known = [float(k) for k in (value, row["default"], row["paper"]) if k is not None]
     steps = log_steps(low, high, known) if row["log"] else linear_steps(low, high)

@@ -1,4 +1,4 @@
-"""For notebook 06: the corrective shapes as heads, the samples' energies, and the angle to the batch PCA."""
+"""Show for notebook 06 the corrective shapes as heads, the energies of the samples, and the angle to the batch PCA."""
 
 from __future__ import annotations
 
@@ -22,10 +22,22 @@ from .thresholds import Thresholds
 
 
 class CorrectiveView:
-    """The first ``count`` corrective shapes, each added to the neutral, and the singular values of all of them.
+    """The first corrective shapes, each added to the neutral, and the singular values of all shapes. Display its ``widget``.
 
-    A shape is scaled so that its largest displacement is as many mm as the slider ``amount`` says; its colours say how far it
-    moves the skin outwards (positive) or inwards. ``widget`` is what to display; :meth:`update` is a workbench's ``extra``.
+    A shape is scaled so that its largest displacement has the length on the slider ``amount``, mm. Its colours show how far it
+    moves the skin outwards (positive) or inwards. Pass :meth:`update` as ``extra`` to a
+    :class:`~adaptiveface.views.StageExplorer`.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    count : int
+        Number of shapes to show.
+    reach : float
+        The first amount, and the end of the colours' range, mm.
+    most : int
+        Largest number of singular values to show.
     """
 
     def __init__(self, session: Session, count: int = 4, reach: float = 4.0, most: int = 12) -> None:
@@ -58,7 +70,7 @@ class CorrectiveView:
         self.amount.observe(on_main_thread(lambda _: self._wanted and self._draw(*self._wanted)), "value")
 
     def update(self, replay: Replay, index: int) -> None:
-        """The correctives after frame ``index``, soon and at most 2.5 times a second: playback must not wait for them."""
+        """Show the correctives after frame ``index``, soon and at most 2.5 times a second, so that playback does not wait."""
         self._wanted = replay, index
         if running_loop() is None:
             self._draw(replay, index)
@@ -87,12 +99,12 @@ class CorrectiveView:
         self.values.update(np.pad(values, (0, self._most - len(values))))
 
     def close(self) -> None:
-        """Stop following the workbench; the last picture stays."""
+        """Stop following the explorer. The last picture stays."""
         self._task.stop()
         self.view.close()
 
 
-#: What becomes of a frame as a sample, and how the energy chart marks it.
+#: What can become of a frame as a sample, and its mark in the energy chart.
 MARKS = {
     SampleState.LEARNED: ("learned", {"marker": "o", "ms": 3, "ls": "", "color": COLOURS[2]}),
     SampleState.IN_ANCHOR_SPACE: ("too near", {"marker": "v", "ms": 4, "ls": "", "color": COLOURS[0]}),
@@ -102,7 +114,7 @@ MARKS = {
 
 
 class EnergyChart(LiveChart):
-    """||s||^2 of every frame on a logarithmic axis, what became of it, and valid_min and valid_max as lines to drag."""
+    """Chart of ||s||^2 of every frame on a logarithmic axis, with valid_min and valid_max as lines that can be dragged."""
 
     def __init__(self, frames: int, y: tuple[float, float] = (0.1, 300.0)) -> None:
         marks, self._decades, self._steered = dict(MARKS.values()), np.log10(y), False
@@ -120,7 +132,7 @@ class EnergyChart(LiveChart):
         )
 
     def show(self, parameters: AdaptivePcaParameters) -> None:
-        """Put the lines where the parameters are."""
+        """Move the lines to the parameters' values."""
         self._steered = True
         try:
             with self._image.hold_sync():
@@ -129,7 +141,7 @@ class EnergyChart(LiveChart):
             self._steered = False
 
     def steer(self, bench: StageExplorer) -> None:
-        """Let the lines move the sliders of a workbench."""
+        """Let the lines move the sliders of a stage explorer."""
 
         def moved(change) -> None:
             if not self._steered:
@@ -140,7 +152,7 @@ class EnergyChart(LiveChart):
 
 
 def energy_chart(session: Session) -> tuple[EnergyChart, ChartSource]:
-    """The chart of ||s||^2 and its source, for a workbench; :meth:`EnergyChart.steer` makes its lines act."""
+    """Make the chart of ||s||^2 and its source for a stage explorer. :meth:`EnergyChart.steer` lets its lines act."""
     chart, frontal = EnergyChart(len(session.frames)), session.actor.frontal
     known: dict[int, tuple[TrackedFrame, float]] = {}
 
@@ -163,7 +175,7 @@ def energy_chart(session: Session) -> tuple[EnergyChart, ChartSource]:
 
 
 def angle_chart(session: Session, every: int = 10):
-    """The chart "angle to batch PCA" and its source, for a workbench."""
+    """Make the chart "angle to batch PCA" and its source for a stage explorer."""
     chart = LiveChart(
         ("angle",),
         (0, len(session.frames) - 1),
@@ -175,7 +187,7 @@ def angle_chart(session: Session, every: int = 10):
     known: dict[int, tuple[object, float]] = {}
 
     def source(replay: Replay):
-        """The curve up to the newest frame of the replay."""
+        """The curve up to the newest tracked frame."""
         values = np.full(len(replay.frames), np.nan)
         for index in range(every - 1, replay.done, every):
             result = replay.results[index]

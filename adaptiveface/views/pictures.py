@@ -1,4 +1,4 @@
-"""Pictures as widgets: arrays in, JPEG or PNG bytes in an ``ipywidgets.Image`` out; overlays on colour images."""
+"""Turn arrays into pictures (JPEG or PNG bytes in an ``ipywidgets.Image``), and draw overlays on colour images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..geometry.frame import RgbdFrame
 
 
 def encode(image: np.ndarray, format: str = "jpeg", quality: int = 85) -> bytes:
-    """(H, W, 3) uint8 RGB, or (H, W, 4) with opacity for a PNG -> the bytes of a picture file."""
+    """Encode RGB (H, W, 3) uint8, or for a PNG also RGBA (H, W, 4), as a picture file."""
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if format == "jpeg" else []
     order = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
     done, data = cv2.imencode("." + format, cv2.cvtColor(image, order), options)
@@ -20,7 +20,7 @@ def encode(image: np.ndarray, format: str = "jpeg", quality: int = 85) -> bytes:
 
 
 def image_widget(width: int, height: int, format: str = "jpeg", name: str = "") -> widgets.Image:
-    """A picture that shrinks with its window and keeps its proportions. ``name`` becomes a CSS class for tests."""
+    """Make a picture that shrinks with its window and keeps its proportions. ``name`` is its CSS class, for tests."""
     image = widgets.Image(format=format, width=width, height=height)
     image.layout = widgets.Layout(max_width="100%", height="auto", object_fit="contain", margin="2px 0")
     if name:
@@ -29,7 +29,7 @@ def image_widget(width: int, height: int, format: str = "jpeg", name: str = "") 
 
 
 def depth_as_colour(depth: np.ndarray) -> np.ndarray:
-    """(H, W) mm -> (H, W, 3) uint8 grey, near is bright; for sources without colour."""
+    """Turn depth (H, W) mm into grey (H, W, 3) uint8, in which near is bright; for sources without colour."""
     measured = depth[depth > 0]
     if not len(measured):
         return np.zeros((*depth.shape, 3), np.uint8)
@@ -38,18 +38,18 @@ def depth_as_colour(depth: np.ndarray) -> np.ndarray:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
 
 
-#: A ring of radius 3 and a cross of half width 2, in pixels: drawn for all features by one call each, because every call of
-#: OpenCV gives the interpreter away to the tracker's threads and waits to have it back.
+#: A ring of radius 3 and a cross of half width 2, pixels. One call draws each of them for all features, because every call of
+#: OpenCV hands the interpreter to the tracker's threads and must wait to get it back.
 _RING = 3.0 * np.stack([np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8)], axis=1)
 _CROSS = np.array([[[-2.0, 0.0], [2.0, 0.0]], [[0.0, -2.0], [0.0, 2.0]]])
-#: Fractional bits of the coordinates that OpenCV draws at.
+#: Fractional bits of OpenCV's coordinates.
 _SHIFT = 4
 
 
 def annotate(frame: RgbdFrame, points: np.ndarray | None = None, features: np.ndarray | None = None) -> np.ndarray:
-    """The colour image with 2D features (yellow rings), the model's features (blue crosses) and its vertices (dots).
+    """Draw 2D features (yellow rings), the model's features (blue crosses) and its vertices (dots) on a colour image.
 
-    points (n, 3), features (40, 3): camera frame, mm, or None. Returns (H, W, 3) uint8.
+    The model's vertices (n, 3) and features (40, 3) are in the camera frame, mm, or None. The result is (H, W, 3) uint8.
     """
     image = (depth_as_colour(frame.depth) if frame.colour is None else frame.colour).copy()
 
@@ -69,15 +69,15 @@ def annotate(frame: RgbdFrame, points: np.ndarray | None = None, features: np.nd
 
 
 def _draw(image: np.ndarray, lines: np.ndarray, closed: bool, colour: tuple[int, int, int]) -> None:
-    """Thin smooth lines (..., m, 2) through m points each, pixels, in place."""
+    """Draw thin smooth lines in place, each through m points: (..., m, 2) px."""
     fixed = np.round(lines * (1 << _SHIFT)).astype(np.int32).reshape(-1, *lines.shape[-2:])
     cv2.polylines(image, list(fixed), closed, colour, 1, cv2.LINE_AA, _SHIFT)
 
 
 class CameraView:
-    """The sensor's picture, cropped to the face, with features and model over it; display ``widget``.
+    """The sensor's picture, cropped to the face, with features and model over it. Display its ``widget``.
 
-    ``depth``: the depth map stands beside it.
+    With ``depth``, the depth map is shown beside it.
     """
 
     def __init__(self, size: tuple[int, int] = (360, 400), title: str = "what the sensor sees", depth: bool = False) -> None:
@@ -92,7 +92,7 @@ class CameraView:
         self._centre: np.ndarray | None = None
 
     def show(self, frame: RgbdFrame, points: np.ndarray | None = None, features: np.ndarray | None = None) -> None:
-        """Draw a frame; arguments as for :func:`annotate`."""
+        """Draw a frame. The arguments are those of :func:`annotate`."""
         image = annotate(frame, points, features)
         self._image.value = self._encoded(image, frame)
         if self._depth is not None:
@@ -102,7 +102,7 @@ class CameraView:
         return encode(cv2.resize(self._crop(image, frame), self.size, interpolation=cv2.INTER_LINEAR))
 
     def _crop(self, image: np.ndarray, frame: RgbdFrame) -> np.ndarray:
-        """A window of the view's proportions around the face, which follows large movements only."""
+        """A window around the face with the view's proportions, which follows only large movements."""
         seen = frame.features is not None and frame.features.valid.sum() > 5
         half = np.array(self.size) / max(self.size) * min(image.shape[:2]) * 0.42
         if seen:

@@ -1,4 +1,4 @@
-"""For notebooks 07 and 08: the pipeline with stages left out, side by side, and sweeps over parameters."""
+"""Show for notebook 07 the pipeline with stages left out, side by side."""
 
 from __future__ import annotations
 
@@ -19,7 +19,21 @@ from .replay import Replay
 
 
 class AblationView(Displayed):
-    """The same frame by several variants of the pipeline, coloured by the error; ``widget`` is what to display."""
+    """The same frame tracked by several variants of the pipeline, coloured by the error. Display its ``widget``.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    variants : sequence of Variant, optional
+        The first six of :data:`~adaptiveface.evaluation.ablation.VARIANTS` by default.
+    parameters : Parameters, optional
+        Of all variants; our defaults without.
+    frames : int, optional
+        Number of leading frames to track; all by default.
+    start : int
+        The first frame to show.
+    """
 
     def __init__(
         self,
@@ -56,12 +70,12 @@ class AblationView(Displayed):
         self.player.go_to(start) if start else self.show(0)
 
     def show(self, index: int) -> None:
-        """Draw frame ``index`` by every variant."""
+        """Draw frame ``index`` as every variant tracked it."""
         rows = []
         for pane, (variant, run, title) in enumerate(zip(self.variants, self._runs, self._titles, strict=True)):
             heat = self.measures.error(run.results[index], self.frames[index], variant.stage)
             gaze = self._eyes.see(run.results[index], self.frames[index])
-            gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead where unknown
+            gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead if it is unknown
             self.view.show(pane, getattr(run.results[index], variant.stage), heat, gaze=gaze)
             name = title if title == variant.name else f"{title} ({variant.name})"
             mean = f"<td style='white-space:nowrap'>{np.nanmean(heat):.3f} mm</td>"
@@ -70,6 +84,6 @@ class AblationView(Displayed):
         self.note.value = f"<table>{''.join(rows)}</table>"
 
     def close(self) -> None:
-        """Stop the player; the last picture stays."""
+        """Stop the player. The last picture stays."""
         self.player.close()
         self.view.close()

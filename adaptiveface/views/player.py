@@ -1,4 +1,4 @@
-"""Play, pause, scrub, loop, speed. The kernel drives: a slow view skips frames instead of queueing them."""
+"""Play a performance: play, pause, scrub, loop, speed. The kernel drives, and a slow view skips frames."""
 
 from __future__ import annotations
 
@@ -10,14 +10,24 @@ import ipywidgets as widgets
 
 from .kernel import BackgroundTask, on_main_thread, shown_errors
 
-#: While it plays, the slider follows so many times a second: each of its steps costs the page as much as half a head.
+#: Rate at which the slider follows the playback, per second. A step of it costs the page as much as half a head.
 SLIDER_PER_SECOND = 6.0
 
 
 class Player:
-    """Steps through ``count`` frames; ``on_frame(index)`` draws one. ``widget`` is what to display.
+    """Steps through the frames of a performance. Display its ``widget``.
 
-    ``longest_step``: the most frames from one picture to the next; a slow view plays slower instead of skipping more.
+    Set ``longest_step`` to limit the number of frames from one picture to the next. A slow view then plays slower instead of
+    skipping more frames.
+
+    Parameters
+    ----------
+    count : int
+        Number of frames.
+    on_frame : callable
+        ``on_frame(index)`` draws a frame.
+    fps : float
+        Frames per second at normal speed.
     """
 
     def __init__(self, count: int, on_frame: Callable[[int], None], fps: float = 30.0) -> None:
@@ -55,29 +65,29 @@ class Player:
     def go_to(self, index: int) -> None:
         """Show a frame."""
         self.slider.value = index
-        self._moved()  # where the slider stood there already, because it lags behind the playback
+        self._moved()  # the slider may have this value already, because it lags behind the playback
 
     def _moved(self) -> None:
-        """The slider was moved, and not by the playback."""
+        """React to a slider that was not moved by the playback."""
         if self.slider.value != self._index:
             self._index = self.slider.value
             self._draw_on_main()
 
     def play(self) -> None:
-        """Start; needs a running event loop (a notebook)."""
+        """Start. A running event loop is needed, as in a notebook."""
         if not self._task.running:
             self._task.start(self._run())
             self.button.value = True
 
     def pause(self) -> None:
-        """Stop where it is."""
+        """Stop at the current frame."""
         self.button.value = False
         self._task.stop()
 
     close = pause
 
     def _label(self) -> None:
-        """The button says what it will do."""
+        """Label the button with what it will do."""
         self.button.description = self.button.icon = "pause" if self.button.value else "play"
 
     def _draw(self) -> None:
@@ -86,7 +96,7 @@ class Player:
             self.drawn += 1
 
     async def _run(self) -> None:
-        """Frames are skipped where drawing is slower than the performance at its speed."""
+        """Play, and skip frames if drawing is slower than the performance."""
         begin, first, drawn, position = time.perf_counter(), self._index, self.drawn, self._index
         if first >= self.slider.max:
             first = position = 0
@@ -94,13 +104,13 @@ class Player:
         try:
             while True:
                 if speed != self.speed.value or (shown is not None and self._index != shown):
-                    begin, first, speed = time.perf_counter(), self._index, self.speed.value  # moved by hand
+                    begin, first, speed = time.perf_counter(), self._index, self.speed.value  # the slider was moved by hand
                 position = first + int((time.perf_counter() - begin) * self.fps * speed)
                 if shown is not None and self.longest_step is not None and position > shown + self.longest_step:
                     begin, first = time.perf_counter(), shown + self.longest_step
                     position = first
                 if position > self.slider.max:
-                    if shown != self.slider.max:  # skipped by a slow view: the last frame is shown all the same
+                    if shown != self.slider.max:  # the last frame is shown even if a slow view skipped it
                         self._step_to(self.slider.max)
                     if not self.loop.value:
                         return
@@ -110,10 +120,12 @@ class Player:
                     shown = position
                     if (self.drawn - drawn) % 15 == 0:
                         self._report(begin, first, drawn)
-                await asyncio.sleep(0.004)  # lets sliders and other tasks in
+                await asyncio.sleep(0.004)  # gives sliders and other tasks their turn
         finally:
             self.slider.value = self._index
-            if not asyncio.current_task().cancelling():  # else it may play again already: the button is that playback's
+            if (
+                not asyncio.current_task().cancelling()
+            ):  # otherwise it may be playing again, and the button belongs to that playback
                 self.button.value = False
 
     def _step_to(self, position: int) -> None:

@@ -1,4 +1,4 @@
-"""For notebook 01: what the prior on the identity coefficients is for. The same scan, fitted with it and without."""
+"""Show for notebook 01 what the prior on the identity coefficients does to the fit of one scan."""
 
 from __future__ import annotations
 
@@ -16,7 +16,22 @@ from .figures import INK, inked, picture
 
 @inked()
 def show_priors(session: Session, fits: Sequence[PriorFit], top: float = 5.0):
-    """Heads of several fits from the front and the side, coloured by their error, and their coefficients."""
+    """Draw the heads of several fits from the front and the side, coloured by their error, with their coefficients.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    fits : sequence of PriorFit
+        One row each.
+    top : float
+        Upper end of the colours' range, mm.
+
+    Returns
+    -------
+    IPython.display.Image
+        A PNG, which saved notebooks keep.
+    """
     figure = Figure(figsize=(8.4, 3.1 * len(fits)), layout="constrained")
     rows = figure.subplots(len(fits), 3, width_ratios=(1, 1, 1.6), squeeze=False)
     portraits = Portraits(session.actor, (300, 360), whole=True)

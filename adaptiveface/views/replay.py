@@ -26,9 +26,9 @@ MakeTracker = Callable[[Actor, Parameters], Tracker]
 
 
 def give_memory_back(frames: Sequence[RgbdFrame] = ()) -> None:
-    """Return to the system what tracking has freed, where the C library keeps it (glibc: some 90 MB after 300 frames).
+    """Return memory to the system that tracking has freed and the C library keeps (glibc: about 90 MB after 300 frames).
 
-    So are the pages of ``frames`` that a file of the cache holds.
+    The pages of ``frames`` that are mapped from the cache's file are returned as well.
     """
     if isinstance(frames, StoredFrames):
         frames.release()
@@ -38,10 +38,27 @@ def give_memory_back(frames: Sequence[RgbdFrame] = ()) -> None:
 
 
 class Replay:
-    """Results of every frame under the current ``parameters``; ``results`` (one per frame, None until tracked).
+    """Results of every frame with the current ``parameters``.
 
-    ``make_tracker(actor, parameters)`` may put other parts into the tracker. ``on_result(index)`` is told of every
-    frame that the background run finishes.
+    Parameters
+    ----------
+    frames : sequence of RgbdFrame
+        The performance.
+    actor : Actor
+        The performer's rig.
+    parameters : Parameters, optional
+        Our defaults without.
+    on_result : callable, optional
+        ``on_result(index)`` is called for every frame that the background run finishes.
+    make_tracker : callable
+        ``make_tracker(actor, parameters)`` -> Tracker, for a tracker with other stages.
+
+    Attributes
+    ----------
+    results : list of TrackedFrame or None
+        One result per frame; None until the frame is tracked.
+    done : int
+        Number of frames that are tracked with the current parameters.
     """
 
     def __init__(
@@ -59,8 +76,8 @@ class Replay:
         self.tracker = make_tracker(actor, self.parameters)
         self._keeper, self._history = Keeper(actor), History(len(self.frames))
         self._last: tuple[TrackedFrame, TrackedFrame] | None = None  # the last frame as it was tracked, and as it is kept
-        self._made_with: list[Parameters | None] = [None] * len(self.frames)  # of every result
-        self._previewer: tuple[Parameters, Tracker] | None = None  # what the last preview tracked with
+        self._made_with: list[Parameters | None] = [None] * len(self.frames)  # the parameters of every result
+        self._previewer: tuple[Parameters, Tracker] | None = None  # parameters and tracker of the last preview
         self._task = BackgroundTask()
         #: Frames tracked under the current parameters.
         self.done = 0
@@ -92,9 +109,9 @@ class Replay:
         self._task.stop()
 
     def change(self, parameters: Parameters, index: int) -> TrackedFrame:
-        """Other parameters: the result of frame ``index`` at once, and all frames again in the background.
+        """Change the parameters: track frame ``index`` at once, and all frames again in the background.
 
-        Nothing changes when the preview fails (its error is raised).
+        If the preview fails, its error is raised and nothing changes.
         """
         result = self.preview(parameters, index)
         self._task.stop()
@@ -104,9 +121,9 @@ class Replay:
         return self.results[index]
 
     def current(self, index: int) -> TrackedFrame | None:
-        """Frame ``index`` with the current parameters: a preview while the background run has not come to it yet.
+        """The result of frame ``index`` with the current parameters, or None if it was never tracked.
 
-        None where it was never tracked.
+        It is a preview until the background run reaches the frame.
         """
         stale = self.results[index] is not None and self._made_with[index] is not self.parameters
         if self.busy and stale and self._history.known(index):
@@ -131,15 +148,15 @@ class Replay:
         self.results[index], self._made_with[index] = self._keeper.keep(result, self._history.change(index)), self.parameters
 
     def preview(self, parameters: Parameters, index: int) -> TrackedFrame:
-        """Frame ``index`` with other parameters, from where the previous frame left the head.
+        """Track frame ``index`` with other parameters, starting from the state after the previous frame.
 
-        Correctives are learned anew from the deformations of the earlier frames when the learning's parameters differ;
-        everything else that earlier frames would do differently waits for the background run.
+        If the parameters of learning differ, the correctives are learned again from the deformations of the earlier frames.
+        All other changes of earlier frames must wait for the background run.
         """
         start = self._history.before(index)
         if start is None:
             return self.make_tracker(self.actor, parameters).track(self.frames[index])
-        # The copy shares the sample buffer, which the background run fills: for one frame, and without learning.
+        # The copy shares the buffer of samples, which the background run fills. It tracks one frame and learns nothing.
         tracker = start.with_parameters(parameters.replace(adaptive_pca__learn=False), relearn=False)
         if parameters.adaptive_pca != start.parameters.adaptive_pca:
             tracker.model = self._relearned(tracker, parameters, index)
@@ -147,7 +164,7 @@ class Replay:
         return tracker.track(self.frames[index])
 
     def _relearned(self, tracker: Tracker, parameters: Parameters, index: int, most: int = 60) -> AdaptiveModel:
-        """What the earlier frames' deformations v2 - v1 teach; of at most ``most`` frames, to answer at once."""
+        """The model learned from the deformations v2 - v1 of at most ``most`` earlier frames, to answer at once."""
         model = AdaptiveModel(self.actor, tracker.transferred.basis, parameters.adaptive_pca)
         unseen = (SampleState.UNTRACKED, SampleState.HIDDEN)
         samples = [r for r in self.results[:index] if r is not None and r.tracked and r.sample_state not in unseen]
@@ -172,7 +189,7 @@ class Replay:
         self.on_result(index)
 
     async def _run(self) -> None:
-        # A moving slider starts this over and over: wait until it rests before the expensive part.
+        # A moving slider starts this again and again, so wait until it rests before the expensive part.
         await asyncio.sleep(0.15)
         self._restart(self.parameters)
         while self.done < len(self.frames):
@@ -181,7 +198,7 @@ class Replay:
         give_memory_back(self.frames)
 
     def model_after(self, index: int) -> AdaptiveModel:
-        """The adaptive model once frame ``index`` was learned (read it, do not let it learn)."""
+        """The adaptive model after frame ``index``. It may be read, but must not learn."""
         following = index + 1
         return self._history.model(following) if following < self.done else self.tracker.model
 

@@ -1,4 +1,4 @@
-"""For notebook 09: the actor and characters side by side, driven by sliders or by the tracked performance."""
+"""Show for notebook 09 the actor and characters side by side, driven by sliders or by the tracked performance."""
 
 from __future__ import annotations
 
@@ -33,18 +33,30 @@ from .turntable import Turntable
 SPARSITY = BlendshapeParameters().sparsity
 #: Modes of driving the faces.
 SLIDERS, INITIAL, RESOLVED, CORRECTIVES = "sliders", "initial", "re-solved", "re-solved + correctives"
-#: One character by all three instead of all characters by one of them (the paper's figure 8).
+#: One character driven in all three modes instead of all characters in one of them (the paper's figure 8).
 COMPARED = "compare on one"
 _STYLE, _WIDE = {"description_width": "130px"}, widgets.Layout(width="290px")
 
 
 class RetargetingStudy(Displayed):
-    """One 3D view of the actor (final mesh v4) and of characters, turned by the mouse; ``widget`` is what to display.
+    """The actor's final mesh v4 and characters in one 3D view, which the mouse turns. Display its ``widget``.
 
-    ``results``: the tracked frames of the session. ``expressions`` (A, N, 3) mm: what their coefficients mean, as
-    :attr:`.Tracker.expressions`; those of the actor without. Coefficients come from the sliders, or from the frame that the
-    player shows; ``COMPARED`` shows one character by initial and by re-solved coefficients and with the correctives. The
-    chart shows one expression, initial against re-solved.
+    Coefficients come from the sliders, or from the frame that the player shows. ``COMPARED`` shows one character with initial
+    coefficients, with re-solved ones, and with the correctives. The chart compares initial and re-solved coefficients of one
+    expression.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    results : sequence of TrackedFrame
+        Of its frames.
+    characters : sequence of str
+        Names of built-in characters, or files.
+    pane : int
+        Width and height of each face, pixels.
+    expressions : (A, N, 3), optional
+        Expressions to which the coefficients belong, mm (:attr:`.Tracker.expressions`); those of the actor by default.
     """
 
     def __init__(
@@ -108,7 +120,7 @@ class RetargetingStudy(Displayed):
         self.widget = widgets.VBox([self.view, self.mode, self.player.widget, self.message, below])
 
     def resolve(self, sparsity: float = SPARSITY) -> np.ndarray:
-        """Re-solve every frame with another price on expressions, mm, and show it; (F, A) the new coefficients."""
+        """Re-solve every frame with another price on expressions, mm, show it, and return the coefficients (F, A)."""
         self.resolved = self._resolved(sparsity)
         self._added.clear()
         self._redraw()
@@ -129,14 +141,17 @@ class RetargetingStudy(Displayed):
             self.draw()
 
     def coefficients(self, index: int, mode: str | None = None) -> np.ndarray:
-        """(A,) coefficients that drive the characters at a frame, in the chosen mode or another one."""
+        """(A,) coefficients that drive the characters at a frame, in the chosen mode or in another one."""
         mode = mode or self.mode.value
         if mode == SLIDERS:
             return np.array([slider.value for slider in self.sliders.values()])
         return (self.initial if mode == INITIAL else self.resolved)[index]
 
     def faces(self, index: int) -> list[tuple[Character, np.ndarray, str]]:
-        """Who is shown: face, head-frame mesh (V, 3), title. The actor first, then every character, or one three times."""
+        """The faces on show, each with its mesh (V, 3) in the head frame, mm, and its title.
+
+        The actor comes first, followed by every character once, or by one character three times.
+        """
         mode = self.mode.value
         own = self._self.shape(self.coefficients(index)) if mode == SLIDERS else self.results[index].v4
         out = [(self._self, own, "actor")]
@@ -146,7 +161,7 @@ class RetargetingStudy(Displayed):
         return out + [(character, self._driven(character, index, mode), character.name) for character in self.characters]
 
     def shapes(self, index: int) -> list[np.ndarray]:
-        """Head-frame meshes of :meth:`faces`."""
+        """The meshes of :meth:`faces`, each (V, 3) in the head frame, mm."""
         return [shape for _, shape, _ in self.faces(index)]
 
     def _driven(self, character: Character, index: int, mode: str) -> np.ndarray:
@@ -156,7 +171,7 @@ class RetargetingStudy(Displayed):
         return shape
 
     def _correctives(self, character: Character) -> np.ndarray:
-        """(F, V, 3) transferred v4 - v1 of every frame, computed when first asked for."""
+        """(F, V, 3) transferred v4 - v1 of every frame, mm, computed on first use."""
         if character.name not in self._added:
             self.message.value = f"transferring the correctives to the {character.name} ..."
             v4 = np.stack([result.v4 for result in self.results])
@@ -168,7 +183,7 @@ class RetargetingStudy(Displayed):
         return self._added[character.name]
 
     def picture(self) -> np.ndarray:
-        """(pane, n pane, 3) uint8: everybody at the player's frame, all seen from the same side, on the page's own colour."""
+        """Draw all n faces at the player's frame from the same side, on the page's colour: (pane, n pane, 3) uint8."""
         index = self.player.index
         turn, tilt, zoom = self.view.camera
         background = tuple(self.view.background)
@@ -185,7 +200,7 @@ class RetargetingStudy(Displayed):
         return np.hstack(panes)
 
     def _with_insides(self, skin: np.ndarray) -> tuple[Character, np.ndarray]:
-        """The actor with eyes, teeth and tongue, as a character to draw, and the vertices of both."""
+        """The actor with eyes, teeth and tongue as a character to draw, and the vertices of both."""
         plain = np.tile(np.array(SKIN, float), (len(skin), 1))
         vertices, triangles, colours = completed(self._insides, skin, self.actor.triangles, plain)
         return replace(self._self, triangles=triangles, colours=colours.astype(np.uint8)), vertices

@@ -1,4 +1,4 @@
-"""For notebook 03: rigid ICP iteration by iteration on one frame, with the residuals on the depth points."""
+"""Show for notebook 03 the iterations of rigid ICP on one frame, with the residuals of the depth points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,17 @@ from .sliders import ValueSlider, linear_steps
 
 
 class IcpStudy(_Study):
-    """One frame, a start that is off by a known amount, and the ICP iterations as a slider."""
+    """Rigid ICP on one frame from a start that is off by a known amount, with a slider for the iteration.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    frame : RgbdFrame
+        One of its frames.
+    result : TrackedFrame
+        Of that frame. Its pose is the goal, and its v1 is the shape to align.
+    """
 
     def __init__(self, session: Session, frame: RgbdFrame, result: TrackedFrame) -> None:
         actor = session.actor
@@ -59,11 +69,11 @@ class IcpStudy(_Study):
         )
         self.note = (
             f"after {k} step{'s' * (k != 1)}: mean residual {self.run.residuals[k]:.2f} mm over "
-            f"{self.run.matches[k]} partners; error of the pose {errors[k]:.2f} mm"
+            f"{self.run.matches[k]} matches; error of the pose {errors[k]:.2f} mm"
         )
 
     def _residuals(self, points: np.ndarray) -> np.ndarray:
-        """(p,) distance of depth points from the plane of the nearest vertex; NaN beyond the pruning distance."""
+        """(p,) distance of depth points from the plane of the nearest vertex; NaN beyond the largest distance."""
         distance, nearest = self._tree.query(points)
         along = np.abs(((points - self._vertices[nearest]) * self._all_normals[nearest]).sum(axis=1))
         return np.where(distance < self.max_distance.value, along, np.nan)

@@ -1,10 +1,10 @@
-"""Save what a page shows of a view without a kernel: pictures of its content, and heads that can be turned.
+"""Save the form of a view that a page shows without a kernel: pictures of its content, and heads that can be turned.
 
 A view is displayed twice. The first output is the live widget. The second one is HTML that is hidden as long as the live
 widget is in the page: a picture of every head, chart and camera. Where scripts run, as in what ``jupyter nbconvert`` makes,
 the page draws the heads itself, and the mouse turns them. JupyterLab says "Error displaying widget" for widgets of a kernel
-that has ended; the pictures then stand below. pyvista's windows, which are frames of the kernel's own pages, get a picture
-as well.
+that has ended, and shows the pictures below. pyvista's windows, which are frames of the kernel's own pages, also get a
+picture.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def show(box: widgets.Box) -> None:
 
 
 def show_window(frame: widgets.HTML) -> None:
-    """Display a text widget; of pyvista's, which frames the window of a plotter, with a picture of that window."""
+    """Display a text widget. If it frames the window of one of pyvista's plotters, add a picture of that window."""
     from IPython.display import HTML, display
 
     plotter = getattr(getattr(frame, "viewer", None), "plotter", None)
@@ -62,7 +62,7 @@ def show_window(frame: widgets.HTML) -> None:
     display(frame._repr_mimebundle_(), raw=True)
     if plotter is not None:
         picture = _picture(encode(plotter.screenshot(return_img=True), "png"), "png", "pyvista's window")
-        # A page that nbconvert made has the frame, too, but nothing answers there.
+        # A page made by nbconvert has the frame, too, but no server answers there.
         display(HTML(_kept(frame, f"<div>{picture}</div>", f"#main .{_live(frame)}")))
 
 
@@ -78,7 +78,7 @@ def saved(box: widgets.Widget) -> str:
 
 
 def _kept(widget: widgets.Widget, content: str, live: str, script: str = "") -> str:
-    """HTML of what was kept of a widget, which a page with an element ``live`` (a CSS selector) hides."""
+    """HTML of the saved form of a widget. A page that has an element ``live`` (a CSS selector) hides it."""
     rule = f"<style>body:has({live}) .{SAVED}-{widget.model_id} {{display: none}}</style>"
     return f"{rule}<div class='{SAVED} {SAVED}-{widget.model_id}'>{content}<small>{_NOTE}</small>{script}</div>"
 
@@ -113,7 +113,7 @@ def _picture(data: bytes, kind: str, description: str) -> str:
 
 
 def _head(view: Heads) -> str:
-    """A view's picture, and what the page needs to draw it."""
+    """A view's picture, and the data from which the page draws it."""
     titles = ", ".join(title for title in view.titles if title) or "head"
     picture = "" if view.still is None else _picture(encode(view.still()), "jpeg", titles)
     data = f"<script type='application/octet-stream'>{packed(view)}</script>"
@@ -121,8 +121,8 @@ def _head(view: Heads) -> str:
 
 
 def packed(view: Heads) -> str:
-    """The values that the browser has of a view, bytes among them, as text."""
-    buffers: dict[str, int] = {}  # panes often share a geometry
+    """The values of a view that the browser has, including bytes, as text."""
+    buffers: dict[str, int] = {}  # because panes often share a geometry
 
     def plain(value):
         if isinstance(value, (bytes, memoryview)):

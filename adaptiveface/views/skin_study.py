@@ -1,4 +1,4 @@
-"""For notebook 05: dense skin on one frame. What the colours change, what each sample knows, and the aperture problem."""
+"""Show for notebook 05 dense skin on one frame: what the colours change, and what each sample knows."""
 
 from __future__ import annotations
 
@@ -12,13 +12,28 @@ from ..studies.session import Session
 from ..studies.skin import PATCH, SkinFrame, around
 from .figures import inked, picture
 
-#: An axis of an ellipse ends here, px: along an edge nothing is known.
+#: Longest axis of an ellipse, px. Along an edge, nothing is known.
 _LONGEST = 5.0
 
 
 @inked()
 def on_and_off(session: Session, measures: Measures, shown: SkinFrame):
-    """Arrows on the picture: how the colour term moved v2 within the surface, ten times as long; and the errors of both."""
+    """Draw how the colours move v2 within the surface, ten times as long, and the errors without and with them.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    measures : Measures
+        Of the session.
+    shown : SkinFrame
+        The frame (:func:`~adaptiveface.studies.skin.track_skin`).
+
+    Returns
+    -------
+    IPython.display.Image
+        A PNG, which saved notebooks keep.
+    """
     actor, camera = session.actor, shown.frame.camera
     front = np.flatnonzero(actor.frontal & actor.depth_valid)[::7]
     start, end = (tracked.in_camera(tracked.v2)[front] for tracked in (shown.without, shown.coloured))
@@ -43,7 +58,20 @@ def on_and_off(session: Session, measures: Measures, shown: SkinFrame):
 
 @inked()
 def ellipses(shown: SkinFrame, apart: int = 12):
-    """What the colours know: alone, every sample knows the direction across its edge; with its neighbours, mostly both."""
+    """Draw as ellipses what the samples know. Alone, most know one direction; with their neighbours, most know both.
+
+    Parameters
+    ----------
+    shown : SkinFrame
+        The frame (:func:`~adaptiveface.studies.skin.track_skin`).
+    apart : int
+        Every so many-th sample of the whole face is drawn.
+
+    Returns
+    -------
+    IPython.display.Image
+        A PNG, which saved notebooks keep.
+    """
     figure = Figure(figsize=(8.4, 4.6), layout="constrained")
     whole, close = figure.subplots(1, 2)
     pixels, information = shown.pixels(), shown.information()
@@ -56,7 +84,7 @@ def ellipses(shown: SkinFrame, apart: int = 12):
     _draw(close, pixels[near[::3]], patches[near[::3]])
     values, vectors = np.linalg.eigh(information[near])
     known = values[:, 1] > np.percentile(values[:, 1], 50)
-    along = 1.5 * vectors[known][:, :, 0]  # what it cannot tell
+    along = 1.5 * vectors[known][:, :, 0]  # the direction that the sample does not know
     ends = np.stack([pixels[near[known]] - along, pixels[near[known]] + along], axis=1)
     close.add_collection(LineCollection(ends, colors="#ff5ad0", linewidths=0.9))
     close.set(xlim=(u - 38, u + 38), ylim=(v + 34, v - 34))
@@ -72,7 +100,7 @@ def _face(axes, shown: SkinFrame, title: str) -> None:
 
 
 def _draw(axes, pixels: np.ndarray, information: np.ndarray) -> None:
-    """An ellipse for each sample: axes along the eigenvectors, as long as the deviation that the colours leave."""
+    """Draw an ellipse for each sample. Its axes follow the eigenvectors and have the length of the deviation that remains."""
     values, vectors = np.linalg.eigh(information)
     lengths = np.minimum(1.0 / np.sqrt(np.maximum(values, 1e-9)), _LONGEST)
     angles = np.degrees(np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]))

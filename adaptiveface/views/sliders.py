@@ -1,4 +1,4 @@
-"""Sliders over exact numbers. Every slider for a number with decimals is made here.
+"""Make sliders over exact numbers. Every slider for a number with decimals is made here.
 
 A FloatSlider divides its range into steps from the lower end. When it is shown, the browser rounds the value to those
 steps, in percentages of the range, and sends the result back: 2.5 on steps of 10 becomes 0, and 20 becomes
@@ -21,16 +21,16 @@ LINEAR_STEPS, STEPS_PER_DECADE = 200, 10
 
 
 class ValueSlider(widgets.SelectionSlider):
-    """A slider over numbers; ``value`` may also be set to one between them, which becomes a step of its own."""
+    """A slider over a list of numbers. If ``value`` is set to a number between them, it becomes another step."""
 
     def __init__(self, values: Iterable[float], value: float, **options) -> None:
         value = float(value)
         super().__init__(options=_labelled([*values, value]), value=value, **options)
-        self.add_class(f"adaptiveface-number-{self.model_id}")  # how TypedNumbers finds it
+        self.add_class(f"adaptiveface-number-{self.model_id}")  # by this class TypedNumbers finds it
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Every step, ascending."""
+        """All steps in ascending order."""
         return tuple(number for _, number in self.options)
 
     @traitlets.validate("value")
@@ -40,7 +40,7 @@ class ValueSlider(widgets.SelectionSlider):
             raise traitlets.TraitError(f"{self.description}: {value} is not a finite number")
         if value not in self._options_values:
             current = self.value
-            self._initializing_traits_ = True  # else ipywidgets selects the first step
+            self._initializing_traits_ = True  # otherwise ipywidgets selects the first step
             try:
                 self.options = _labelled([*self._options_values, value])
             finally:
@@ -50,9 +50,9 @@ class ValueSlider(widgets.SelectionSlider):
 
 
 class TypedNumbers(anywidget.AnyWidget):
-    """Lets the numbers beside ``sliders`` be clicked and typed over; beyond the ends, the slider goes to its end.
+    """Makes the numbers beside ``sliders`` editable. For a number beyond an end, the slider goes to that end.
 
-    Has to be in a box of class ``adaptiveface-numbers`` that holds the sliders; is itself not seen.
+    This widget is invisible. It must be in the box of class ``adaptiveface-numbers`` that holds the sliders.
     """
 
     _esm = Path(__file__).resolve().parents[1] / "assets" / "typed_numbers.js"
@@ -63,7 +63,7 @@ class TypedNumbers(anywidget.AnyWidget):
         self.on_msg(lambda _, content, buffers: self.type(content.get("slider"), content.get("text")))
 
     def type(self, slider: str | None, text: str | None) -> None:
-        """``text`` was typed as the number of the slider with this model id; what is no number changes nothing."""
+        """React to ``text`` that was typed beside the slider with this model id. Text that is no number changes nothing."""
         try:
             number = float(str(text).replace("\u2212", "-").replace(",", "."))
         except ValueError:
@@ -74,16 +74,19 @@ class TypedNumbers(anywidget.AnyWidget):
 
 
 def linear_steps(low: float, high: float, step: float | None = None) -> list[float]:
-    """Multiples of ``step`` from ``low`` to ``high``, and both ends; a round step of about 1/200 of the range by default."""
+    """Return the multiples of ``step`` from ``low`` to ``high`` and both ends.
+
+    The default step is a round number of about 1/200 of the range.
+    """
     step = step or _round_up((high - low) / LINEAR_STEPS)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return sorted({float(low), float(high), *(float(f"{k * step:.12g}") for k in range(first, last + 1))})
 
 
 def log_steps(low: float, high: float, known: Iterable[float] = ()) -> list[float]:
-    """Ten steps per decade from ``low`` to ``high``, and both ends.
+    """Return ten steps per decade from ``low`` to ``high`` and both ends.
 
-    Where zero is allowed it comes first, and the decades begin at 0.001 or a tenth of the least ``known`` value.
+    If zero is allowed, it comes first. The decades then begin at 0.001, or at a tenth of the least ``known`` value.
     """
     bottom = low if low > 0 else min([1e-3, *(0.1 * k for k in known if k > 0)])
     first, last = np.log10(bottom), np.log10(high)
@@ -92,7 +95,7 @@ def log_steps(low: float, high: float, known: Iterable[float] = ()) -> list[floa
 
 
 def _round_up(step: float) -> float:
-    """The next of 1, 2, 5, 10, 20, 50, ... and their decimal fractions."""
+    """The next larger number of 1, 2, 5, 10, 20, 50, ... and their decimal fractions."""
     decade = 10.0 ** math.floor(math.log10(step))
     return next(float(f"{k * decade:.12g}") for k in (1, 2, 5, 10) if k * decade >= step * (1 - 1e-9))
 
@@ -102,7 +105,7 @@ def _labelled(numbers: Iterable[float]) -> list[tuple[str, float]]:
 
 
 def short(value) -> str:
-    """A readable value with six digits, or more if it has more."""
+    """Write a value with six digits, or with all of its digits if there are more."""
     if not isinstance(value, float):
         return str(value)
     return f"{value:g}" if float(f"{value:g}") == value else f"{value:.12g}"

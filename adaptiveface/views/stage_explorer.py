@@ -1,4 +1,4 @@
-"""Parameter panel, face view, player and charts put together around one replay of a performance."""
+"""Combine a parameter panel, a face view, a player and charts around one replay of a performance."""
 
 from __future__ import annotations
 
@@ -28,24 +28,47 @@ from .pictures import CameraView
 from .player import Player
 from .replay import MakeTracker, Replay
 
-#: Rate at which the charts and the sensor's picture are redrawn in turn while a performance plays, per second. The face comes
-#: first.
+#: Rate at which the charts and the sensor's picture are redrawn in turn while a performance plays, per second. The face has
+#: priority.
 ASIDES_PER_SECOND = 12.0
-#: Largest number of frames from one picture to the next while it learns.
+#: Largest number of frames from one picture to the next while the tracker learns.
 LEARNING_STEP = 2
 
 
-#: A chart and the function that gives its lines: replay -> name -> values per frame.
+#: The function that gives a chart its lines: replay -> name -> values per frame.
 ChartSource = Callable[[Replay], dict[str, np.ndarray]]
 
 
 class StageExplorer(Displayed):
-    """One stage to see and to move: ``widget`` is what to display, :meth:`close` stops everything it runs.
+    """Shows a stage of the tracker and lets its parameters be changed. Display its ``widget``; :meth:`close` stops everything.
 
-    ``controls``: stages or parameters for the panel. ``panes``: title -> :data:`Pane`. ``charts``: pairs of a
-    :class:`LiveChart` over frame numbers and its :data:`ChartSource`. A moved slider shows its effect on the frame at
-    once; the other frames follow in the background and the charts grow with them. ``extra``: called with the replay
-    and the number of the frame on show, for further views of the notebook's own.
+    A moved slider shows its effect on the current frame at once. The other frames follow in the background, and the charts
+    grow with them.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    controls : sequence of str
+        Stages or parameters for the panel.
+    panes : dict
+        A :data:`~adaptiveface.studies.measures.Pane` for each title.
+    charts : sequence of (LiveChart, ChartSource)
+        Charts over frame numbers, each with the function that gives its lines.
+    limits, label : (float, float), str
+        Range and meaning of the heat maps.
+    parameters : Parameters, optional
+        The first values; our defaults without.
+    ranges : dict, optional
+        (low, high) by name, for narrower sliders.
+    camera : bool
+        Whether the sensor's picture is shown.
+    make_tracker : callable, optional
+        ``make_tracker(actor, parameters)`` -> Tracker, for a tracker with other stages.
+    extra : callable, optional
+        ``extra(replay, index)`` is called for every frame that is shown, for further views.
+    start : int
+        The first frame to show.
     """
 
     def __init__(
@@ -76,7 +99,7 @@ class StageExplorer(Displayed):
         )
         self.camera = CameraView((190, 220)) if camera else None
         self.player = Player(len(session.frames), self.show, session.fps)
-        self.verdict = widgets.HTML()  #: what has to be said first
+        self.verdict = widgets.HTML()  #: what the reader must know first
         self.message, self._live, self._aside, self._aside_due = widgets.HTML(), False, 0, 0.0
         self.player.button.observe(on_main_thread(lambda _: self._update_charts()), "value")
         restart = widgets.Button(
@@ -95,9 +118,9 @@ class StageExplorer(Displayed):
     def _lay_out(self, restart: widgets.Widget) -> None:
         row = widgets.Layout(flex_flow="row wrap", align_items="flex-start")
         charts = [chart.widget for chart, _ in self.charts] + ([self.camera.widget] if self.camera else [])
-        # Heads beside sliders, player and charts below: on a laptop all of it is in sight at once. Where a list of files takes
-        # its share, the heads become a little smaller before the sliders go below them. More than two heads leave no room
-        # beside them: their sliders stand beside the charts.
+        # The heads are beside the sliders, and the player and the charts are below, so that everything is in sight on a laptop.
+        # If a list of files takes some of the width, the heads become a little smaller before the sliders move below them. More
+        # than two heads leave no room beside them, so that their sliders are beside the charts.
         wide = self.view.pane[0] * len(self.panes)
         self.view.widget.layout = widgets.Layout(flex=f"1 1 {int(0.78 * wide)}px", max_width=f"{wide + 4}px", min_width="0")
         panel = [widgets.VBox([self.panel.widget, self.message])]
@@ -118,30 +141,33 @@ class StageExplorer(Displayed):
 
     @property
     def result(self):
-        """The tracked frame that is shown."""
+        """The result of the current frame."""
         return self.replay.results[self.player.index]
 
     def mesh(self, stage: str = "v4", heat: np.ndarray | None = None):
-        """A stage of the frame on show as ``pyvista.PolyData`` in mm: x out of the face, y to the subject's left, z up.
+        """Return a stage's mesh of the current frame for pyvista.
 
         Parameters
         ----------
         stage : str
             "v1" to "v4".
         heat : numpy.ndarray, optional
-            (N,) values of your own, for example ``measures.error(bench.result, frame, "v2")``: the array ``heat``, and what
-            ``plot()`` colours the mesh by.
+            (N,) other values, for example ``measures.error(bench.result, frame, "v2")``. They become the array ``heat``, by
+            which ``plot()`` colours the mesh.
 
         Returns
         -------
         pyvista.PolyData
-            Arrays: ``displacement`` (N, 3) from the actor's neutral, its length ``distance`` (N,), ``corrective 1`` ...
-            (N, 3) as learned up to this frame, each scaled to move up to 1 mm, ``normals`` (N, 3).
+            The mesh in mm: x points out of the face, y to the subject's left, z up. Its arrays are ``displacement`` (N, 3) from
+            the actor's neutral, its length ``distance`` (N,), the correctives ``corrective 1`` ... (N, 3) that are learned up
+            to this frame, each scaled to move up to 1 mm, and ``normals`` (N, 3).
 
         Raises
         ------
-        ParameterError, MissingExtraError
-            No such stage; pyvista is not installed.
+        ParameterError
+            There is no such stage.
+        MissingExtraError
+            pyvista is not installed.
         """
         if stage not in ("v1", "v2", "v3", "v4"):
             raise ParameterError(f"stage {stage!r} is none of v1, v2, v3, v4")
@@ -174,14 +200,14 @@ class StageExplorer(Displayed):
         if self._live:
             self.replay.track_up_to(index)
             self._live = self.replay.done < len(self.session.frames)
-            # Every frame is tracked: passing over many would save little and hide how it learns.
+            # Every frame is tracked. Skipping many of them would save little and hide the learning.
             self.player.longest_step = LEARNING_STEP if self._live else None
         result, frame = self.replay.current(index), self.session.frames[index]
         if result is None:
             return
         self.message.value = "" if result.tracked else f"frame {index}: {result.reason}"
         gaze = self._eyes.see(result, frame)
-        gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead where unknown
+        gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead if it is unknown
         for number, pane in enumerate(self.panes):
             extra = (self.replay.parameters,) if getattr(pane, "needs_parameters", False) else ()
             self.view.show(number, *pane(result, frame, *extra), gaze=gaze)
@@ -196,7 +222,7 @@ class StageExplorer(Displayed):
             self._aside_due = time.perf_counter() + 1 / ASIDES_PER_SECOND
 
     def _show_aside(self, result: TrackedFrame, frame: RgbdFrame) -> None:
-        """Redraw the next one among the charts and the sensor's picture."""
+        """Redraw one of the charts and the sensor's picture, in turn."""
         self._aside = (self._aside + 1) % (len(self.charts) + 1)
         if self._aside == len(self.charts):
             self._show_camera(result, frame)
@@ -210,7 +236,7 @@ class StageExplorer(Displayed):
             self.camera.show(frame, points, features)
 
     def close(self) -> None:
-        """Stop playback and background work, and take the widgets away."""
+        """Stop the playback and the background work, and remove the widgets."""
         self.player.close()
         self.replay.close()
         self.view.close()
@@ -226,7 +252,7 @@ class StageExplorer(Displayed):
         self.show(self.player.index)
 
     def _on_result(self, index: int) -> None:
-        """The background run finished a frame: redraw if it is the one on show, and let the charts grow."""
+        """React to a frame that the background run finished: redraw if it is the current one, and let the charts grow."""
         if not hasattr(self, "widget") or not self.replay.busy:
             return
         last = index == len(self.session.frames) - 1
@@ -244,7 +270,7 @@ class StageExplorer(Displayed):
 
 
 def how_many(results: Sequence[TrackedFrame]) -> str:
-    """A line with the number of tracked frames and why others are not; "" if all are tracked."""
+    """Say how many frames are tracked and why the others are not; "" if all are tracked."""
     lost = Counter(result.reason for result in results if not result.tracked)
     if not lost:
         return ""
@@ -254,13 +280,13 @@ def how_many(results: Sequence[TrackedFrame]) -> str:
 
 
 class SeriesCache:
-    """A chart source that computes a number per frame and stage once per result."""
+    """A chart source that computes one number per frame and stage, once for every result."""
 
     def __init__(self, function: Callable, names: Sequence[str]) -> None:
         self._function, self._names, self._known = function, tuple(names), {}
 
     def __call__(self, replay: Replay) -> dict[str, np.ndarray]:
-        """Name of each curve -> its values (F,), NaN where a frame is not tracked yet."""
+        """Values (F,) of each curve by its name; NaN for frames that are not tracked yet."""
         out = {name: np.full(len(replay.frames), np.nan) for name in self._names}
         for index, result in enumerate(replay.results):
             if result is None or not result.tracked:
@@ -275,14 +301,44 @@ class SeriesCache:
 
 
 def error_chart(session: Session, measures: Measures, stages: Sequence[str] = ("v1", "v2", "v4"), top: float = 3.0):
-    """The chart "mean error of each stage over the performance" and its source; ``top`` mm, or more without the truth."""
+    """Make a chart of the mean error of each stage over the performance.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    measures : Measures
+        Of the session.
+    stages : sequence of str
+        "v1" to "v4".
+    top : float
+        Upper end of the axis, mm. It is higher if the truth is not known.
+
+    Returns
+    -------
+    (LiveChart, ChartSource)
+        The chart and its source, for a :class:`StageExplorer`.
+    """
     title = f"mean error, {measures.unit}"
     chart = LiveChart(stages, (0, len(session.frames) - 1), (0, measures.top(top)), "frame", title, measures.curve)
     return chart, SeriesCache(lambda result, frame, stage: measures.mean_error(result, frame, stage), stages)
 
 
 def figure_11(session: Session, top: float = 1.5):
-    """The paper's figure 11: distance of v2 from both spaces before the frame is learned from, and its source."""
+    """Make the paper's figure 11: the distance of v2 from both spaces, before the frame is learned from.
+
+    Parameters
+    ----------
+    session : Session
+        The performance.
+    top : float
+        Upper end of the axis, mm.
+
+    Returns
+    -------
+    (LiveChart, ChartSource)
+        The chart and its source, for a :class:`StageExplorer`.
+    """
     names = ("to anchor space", "to adaptive space")
     chart = LiveChart(names, (0, len(session.frames) - 1), (0, top), "frame", "mean distance, mm", "figure 11: distance of v2")
     return chart, lambda replay: dict(

@@ -1,4 +1,4 @@
-"""Draw still pictures of heads and clouds in the kernel. A saved notebook shows them in place of a view."""
+"""Draw still pictures of heads and clouds in the kernel. A saved notebook shows them instead of a view."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ DISTANCE, PIVOT_DEPTH = 700.0, 50.0
 
 @dataclass
 class Shown:
-    """What a pane shows: vertices (N, 3) with heat (N,) or None, and a cloud (positions, values, normals, size) or None.
+    """Content of a pane: vertices (N, 3) mm with heat (N,) or None, and a cloud (positions, values, normals, size) or None.
 
-    ``insides``: the parts inside the head, and ``motion`` as :meth:`~adaptiveface.insides.Insides.motion` gives it.
+    ``insides`` are the parts inside the head, and ``motion`` is the result of :meth:`~adaptiveface.insides.Insides.motion`.
     """
 
     vertices: np.ndarray
@@ -36,7 +36,7 @@ class Shown:
 
 
 class Still:
-    """The camera of one pane of ``size`` (width, height): turned about the skull around ``centre`` (3,), ``radius`` mm wide."""
+    """The camera of a pane of ``size`` px. It turns about the skull and shows ``radius`` mm around ``centre`` (3,)."""
 
     def __init__(
         self, size, centre: np.ndarray, radius: float, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0
@@ -51,11 +51,11 @@ class Still:
         self.camera = Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """(n, 3) head-frame positions in the camera frame."""
+        """Turn head-frame positions (n, 3) into the camera frame, mm."""
         return (positions - self._pivot) @ self._axes.T + [0.0, 0.0, DISTANCE + PIVOT_DEPTH]
 
     def lit(self, colours: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(n, 3) uint8 colours under a light that moves with the camera."""
+        """Colours (n, 3) uint8 under a light that moves with the camera."""
         up = np.array([0.0, 1.0, 0.0])
         light = Light(key_direction=tuple(0.6 * up + np.cross(up, self.away) * -0.5 + 0.5 * self.away))
         diffuse, specular = irradiance(normals, np.broadcast_to(self.away[None], normals.shape), light)
@@ -63,7 +63,7 @@ class Still:
 
 
 def picture(still: Still, shown: Shown, triangles: np.ndarray, limits, colourmap: str) -> np.ndarray:
-    """(H, W, 3) uint8: one pane on white."""
+    """Draw one pane on white, (H, W, 3) uint8."""
     image = np.full((still.camera.height, still.camera.width, 3), 255, np.uint8)
     if shown.visible:
         skin = np.full((len(shown.vertices), 3), SKIN)
@@ -81,7 +81,7 @@ def picture(still: Still, shown: Shown, triangles: np.ndarray, limits, colourmap
 
 
 def _dots(image, still: Still, positions, values, normals, size, limits, colourmap) -> None:
-    """Squares of ``size`` pixels, the nearest last; a head in front of them does not hide them."""
+    """Draw squares of ``size`` pixels, the nearest last. A head in front of them does not hide them."""
     colours = heat_map(values, limits, colourmap)
     colours = colours if normals is None else still.lit(colours, normals)
     points = still.points(positions)
@@ -94,7 +94,7 @@ def _dots(image, still: Still, positions, values, normals, size, limits, colourm
 
 
 def tiled(panes: Sequence[np.ndarray], columns: int, titles: Sequence[str]) -> np.ndarray:
-    """Panes side by side, ``columns`` in a row, with their titles."""
+    """Put panes side by side, ``columns`` in a row, with their titles."""
     blank = np.full_like(panes[0], 255)
     for pane, title in zip(panes, titles, strict=True):
         ascii_only = title.encode("ascii", "replace").decode()

@@ -1,4 +1,4 @@
-"""A chart with two horizontal lines that are dragged in the browser."""
+"""Draw a chart with two horizontal lines that can be dragged in the browser."""
 
 from __future__ import annotations
 
@@ -9,11 +9,24 @@ import traitlets
 
 
 class Thresholds(anywidget.AnyWidget):
-    """A picture of a chart whose y axis is logarithmic, and two values on that axis as lines that can be dragged.
+    """A picture of a chart with a logarithmic y axis, and two values on that axis as lines that can be dragged.
 
-    ``value``: the picture, PNG; ``size`` (width, height) pixels. ``axes`` (left, top, right, bottom) of the chart's axes, in
-    shares of the picture; ``decades``: log10 of the y axis' ends. ``low`` and ``high``: the lines; dragging changes them, and
-    low never exceeds high. ``names``: what they are called; ``description``: of the picture.
+    Attributes
+    ----------
+    value : bytes
+        The picture, PNG.
+    size : list of int
+        Its width and height, pixels.
+    axes : list of float
+        Left, top, right and bottom of the chart's axes, as shares of the picture.
+    decades : list of float
+        log10 of the ends of the y axis.
+    low, high : float
+        The lines. Dragging changes them, and low never exceeds high.
+    names : dict
+        Their names.
+    description : str
+        Of the picture.
     """
 
     _esm = Path(__file__).resolve().parents[1] / "assets" / "thresholds.js"

@@ -19,11 +19,11 @@ class TransferStudy(ExpressionTransfer):
 
     @inked()
     def show_correspondence(self, name: str, triangle: int):
-        """Both heads in an expression, coloured by how far each triangle turns; one triangle marked on both."""
+        """Draw both heads in an expression, coloured by how far each triangle turns, with one triangle marked."""
         figure = Figure(figsize=(8.4, 3.3), layout="constrained")
         axes = figure.subplots(1, 4)
         angle = self._at_vertices(self.turned(name))
-        angle[self.model.triangles[triangle]] = np.nan  # grey: the marked one
+        angle[self.model.triangles[triangle]] = np.nan  # the marked triangle is grey
         personal = self.actor.neutral + self.actor.blendshapes[self.names.index(name)]
         average = self.model.mean + self.shape(name)
         titles = ("average head", f"{name}, average", "this head", f"{name}, this head")
@@ -38,14 +38,14 @@ class TransferStudy(ExpressionTransfer):
         return picture(figure, f"triangle {triangle} on the average head and on this one; colour: how far triangles turn")
 
     def _at_vertices(self, values: np.ndarray) -> np.ndarray:
-        """(V,) means over the triangles around each vertex, of values (T,)."""
+        """Means (V,) of values (T,) over the triangles around each vertex."""
         corners = self.model.triangles.ravel()
         total = np.bincount(corners, np.repeat(values, 3), len(self.model.mean))
         return total / np.maximum(np.bincount(corners, minlength=len(total)), 1)
 
     @inked()
     def show_triangle(self, name: str, triangle: int):
-        """One triangle before and after, on both heads, each in its neutral's plane; and the matrix S that is handed over."""
+        """Draw one triangle before and after on both heads, in its neutral's plane, and the transferred matrix S."""
         model, corners = self.model, self.model.triangles[triangle]
         s = self.change(name)[triangle]
         source, target = model.mean[corners], self.actor.neutral[corners]
@@ -77,7 +77,7 @@ class TransferStudy(ExpressionTransfer):
 
     @inked()
     def show_matrix(self, system: System):
-        """Where the matrix has entries: as the vertices are numbered, in the solver's order, and its factor."""
+        """Draw where the matrix has entries, with the vertices in two orders, and where its factor has entries."""
         figure = Figure(figsize=(8.4, 3.1), layout="constrained")
         band = reverse_cuthill_mckee(system.matrix, symmetric_mode=True)
         banded = system.matrix[band][:, band]
@@ -90,25 +90,25 @@ class TransferStudy(ExpressionTransfer):
             axis.imshow(
                 _density(matrix), cmap="Blues", norm=LogNorm(1e-4, 1.0), extent=(0, matrix.shape[1], matrix.shape[0], 0)
             )
-            axis.set_facecolor("white")  # the palest of these colours mean the fewest entries
+            axis.set_facecolor("white")  # the palest colours mean the fewest entries
             axis.set_title(f"{title}\n{matrix.nnz} entries", fontsize=9)
             axis.tick_params(labelsize=7)
         return picture(figure, "entries of the transfer's matrix, in two orders, and of its factor")
 
 
 def _plane(corners: np.ndarray) -> np.ndarray:
-    """(3, 2) two directions at right angles in a triangle's plane, the first along its first edge."""
+    """(3, 2) two orthogonal directions in a triangle's plane, the first one along its first edge."""
     return np.linalg.qr((corners[1:] - corners[0]).T)[0] * [-1, -1]
 
 
 def _outline(axis, corners: np.ndarray, plane: np.ndarray, colour: str, label: str, style: str = "-") -> None:
-    """A triangle (3, 3) seen at right angles to ``plane``, its first corner at the origin: S knows no translation."""
+    """Draw a triangle (3, 3) in ``plane``, with its first corner at the origin, because S has no translation."""
     closed = (np.vstack([corners, corners[:1]]) - corners[0]) @ plane
     axis.plot(closed[:, 0], closed[:, 1], style, color=colour, label=label, lw=1.6)
 
 
 def _density(matrix, bins: int = 160) -> np.ndarray:
-    """(bins, bins) share of entries in each block of a sparse matrix, at least 1e-4 where there is one; NaN where none."""
+    """(bins, bins) share of entries in each block of a sparse matrix: at least 1e-4 if there is one, NaN if there is none."""
     rows, columns = matrix.nonzero()
     count, _, _ = np.histogram2d(rows, columns, bins, [(0, matrix.shape[0]), (0, matrix.shape[1])])
     share = count * bins**2 / np.prod(matrix.shape, dtype=float)
@@ -116,7 +116,7 @@ def _density(matrix, bins: int = 160) -> np.ndarray:
 
 
 def _pixel(portraits: Portraits, point: np.ndarray) -> np.ndarray:
-    """(2,) px of a point (3,) of the head in a portrait."""
+    """(2,) place of a head's point (3,) in a portrait, px."""
     pose = portraits._pose(0.0)
     camera = portraits.camera
     return camera.project((pose[:3, :3] @ point + pose[:3, 3])[None])[0] * portraits.size[0] / camera.width

@@ -1,4 +1,4 @@
-"""Show a picture that is turned by mouse, pen or fingers. The kernel draws it, and the browser only sends the camera."""
+"""Show a picture that mouse, pen or fingers turn. The kernel draws it, and the browser only sends the camera."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import Path
 import anywidget
 import traitlets
 
-#: Lowest and highest turn and tilt, degrees, and zoom.
+#: Lowest and highest turn (degrees), tilt (degrees) and zoom.
 LIMITS = ((-90.0, 90.0), (-60.0, 60.0), (0.5, 3.0))
 
 
 class Turntable(anywidget.AnyWidget):
     """Shows ``value`` (JPEG bytes) and sends ``camera`` (turn, tilt in degrees, zoom) while it is dragged.
 
-    Drag turns and tilts, wheel or two fingers zoom, a double click goes back to straight ahead. Wishes that arrive while
-    the kernel draws are merged: only the newest is drawn. ``background``: the page's colour behind the picture, RGB, which the
-    browser sends when it differs and when the page's theme changes. ``name`` becomes the picture's CSS class, for tests.
+    Dragging turns and tilts, the wheel or two fingers zoom, and a double click goes back to straight ahead. Of several
+    cameras that arrive while the kernel draws, only the newest is drawn. ``background`` is the page's RGB colour behind the
+    picture. The browser sends it if it differs, and when the page's theme changes. ``name`` is the CSS class, for tests.
     """
 
     _esm = Path(__file__).resolve().parents[1] / "assets" / "turntable.js"
