@@ -14,7 +14,20 @@ from .session import Session
 
 
 def distance_to_truth(head: np.ndarray, truth: GroundTruth) -> np.ndarray:
-    """(n,) distance of a neutral head (V, 3) from the true face, over the frontal vertices that take depth, mm."""
+    """Measure a neutral head against the truth.
+
+    Parameters
+    ----------
+    head : (V, 3)
+        The head in the head frame, mm.
+    truth : GroundTruth
+        Of the performer.
+
+    Returns
+    -------
+    (n,)
+        Distances of the frontal vertices that take depth from the true face, mm.
+    """
     model = embedded_face_model()
     scored = model.frontal & model.depth_valid
     aligned = transform_points(neutral_alignment(head, truth.neutral, scored), head)
@@ -44,7 +57,7 @@ class ClosestExpression:
 
 
 def closest_expression(session: Session) -> ClosestExpression:
-    """The frame of a session with known truth in which the face moves most, and the blendshapes nearest to it."""
+    """Find the frame with the largest true motion in a session whose truth is known, and the closest blendshapes."""
     actor, frontal = session.actor, session.actor.frontal
     assert session.truth is not None
     truths = [session.truth[frame.index] for frame in session.frames]

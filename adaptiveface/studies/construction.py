@@ -19,7 +19,7 @@ SHOWN = ("jawOpen", "mouthSmileLeft", "mouthPucker", "browInnerUp", "eyeBlinkLef
 
 
 def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[dict]]:
-    """Caption, drawing and numbers of the figure; ``frames`` is the number of scanned neutral frames."""
+    """Caption, drawing and numbers of the figure. ``frames`` is the number of scanned neutral frames."""
     sensor = SyntheticSensor(seed, noise, frames or NEUTRAL_FRAMES, 1, 1, colour=False)
     model = embedded_face_model()
     capture = capture_neutral([sensor.read(index) for index in range(sensor.neutral_frames)], model)
@@ -41,13 +41,13 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     caption = (
         f"{sensor.name}. Top: depth frames of the neutral face become a scan; the average head is fitted to it by the modes of "
         "identity, and shrink-wrapped onto it. Colour and number: distance of the face from the true one (the number is the "
-        "median). Below: generic expressions of the average head, and the same on the person by deformation transfer."
+        "median). Below: generic expressions of the average head, and the same expressions transferred to the person."
     )
     return caption, figure, _rows(errors, capture, model)
 
 
 def from_truth(head: np.ndarray, true: np.ndarray, actor: Actor) -> np.ndarray:
-    """(N,) distance of a neutral head (N, 3) from the true one after rigid alignment, mm; NaN where no depth is used."""
+    """Distances (N,) of a neutral head (N, 3) from the true one after rigid alignment, mm; NaN where depth is not used."""
     scored = actor.frontal & actor.depth_valid
     out = np.full(len(head), np.nan)
     out[scored] = surface_distance(transform_points(neutral_alignment(head, true, scored), head), true, actor.triangles, scored)
@@ -55,7 +55,7 @@ def from_truth(head: np.ndarray, true: np.ndarray, actor: Actor) -> np.ndarray:
 
 
 def _rows(errors: dict[str, np.ndarray], capture: NeutralCapture, model: FaceModel) -> list[dict]:
-    """Draw neutral heads coloured by their distance from the truth, and expressions by how far the transfer moved them, mm."""
+    """Draw neutral heads, coloured by their distance from the truth, and expressions, coloured by their displacement, mm."""
     rows = [_row("neutral", name, error) for name, error in errors.items()]
     changes = np.linalg.norm(capture.actor.blendshapes - model.generic_expressions, axis=2)[:, capture.actor.frontal]
     names = capture.actor.expression_names

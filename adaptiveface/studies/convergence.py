@@ -42,7 +42,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
 
 
 def _curves(axis, rows: list[dict], sensor) -> None:
-    """The four curves of one parameter set, the repeats' beginnings, and where new expressions stand out."""
+    """Draw the four curves of one parameter set, the beginnings of the repeats, and the peaks of new expressions."""
     frame = np.array([row["frame"] for row in rows])
     for stage, width, alpha in (("v2", 1.8, 1.0), ("v4", 0.8, 0.8)):
         for space, colour, words in (("anchors", GREEN, "anchor space"), ("adaptive", BLUE, "adaptive space")):
@@ -59,7 +59,7 @@ def _curves(axis, rows: list[dict], sensor) -> None:
 
 
 def falls(values: np.ndarray, window: int = 6, share: float = 0.6) -> np.ndarray:
-    """Indices of peaks (F,) that drop to ``share`` of their height within ``window`` frames, and are the highest around."""
+    """Indices of the local peaks of values (F,) that drop to ``share`` of their height within ``window`` frames."""
     found = []
     for k in range(1, len(values) - 1):
         before, after = values[max(k - window, 0) : k], values[k + 1 : k + 1 + window]

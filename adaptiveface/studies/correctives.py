@@ -46,6 +46,6 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     caption = (
         f"{sensor.name}, {TIMES} times the same {sensor.frames} frames. Colour: what the adaptive space cannot express of v2, "
         "before the frame is learned from. The paper colours the distance of the output v4, which here is the 2D features' "
-        "part alone (it is in the table). paper() waits for a buffer of 200 samples, the defaults learn from the first one."
+        "part alone (it is in the table). paper() waits for a buffer of 200 samples; the defaults learn from the first sample."
     )
     return caption, figure, rows

@@ -1,4 +1,4 @@
-"""What the figures share: portraits on a grid, coloured in millimetres, and plain charts. Matplotlib without global state."""
+"""Draw portraits on a grid, coloured in millimetres, and plain charts, without Matplotlib's global state."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ SIZE = (230, 280)
 
 
 class Faces:
-    """Draws heads (N, 3), head frame, as pictures; ``top`` mm is the end of the colour scale."""
+    """Draws heads (N, 3) in the head frame as pictures. The colour scale ends at ``top`` mm."""
 
     def __init__(self, actor: Actor, top: float, size: tuple[int, int] = SIZE) -> None:
         self.top = top
         self._portraits = Portraits(actor, size)
 
     def plain(self, head: np.ndarray) -> np.ndarray:
-        """(h, w, 3) uint8 in the colour of skin."""
+        """Draw a head in the colour of skin, (h, w, 3) uint8."""
         return on_backdrop(self._portraits.draw(head), BACKDROP)
 
     def heat(self, head: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """(h, w, 3) uint8 coloured by ``values`` (N,) mm; NaN stays grey."""
+        """Draw a head coloured by ``values`` (N,) mm, (h, w, 3) uint8. NaN is grey."""
         return on_backdrop(self._portraits.draw(head, values, (0.0, self.top)), BACKDROP)
 
 
 def grid(pictures: Sequence[Sequence[np.ndarray | None]], titles: Sequence[Sequence[str]], labels: Sequence[str]) -> Figure:
-    """A figure with one picture per cell, the titles above them and ``labels`` before the rows."""
+    """Make a figure with one picture per cell, titles above the pictures, and ``labels`` before the rows."""
     rows, columns = len(pictures), max(map(len, pictures))
     high, wide = next(picture for line in pictures for picture in line if picture is not None).shape[:2]
     lines = 1 + max((title.count("\n") for words in titles for title in words), default=0)
@@ -52,7 +52,7 @@ def grid(pictures: Sequence[Sequence[np.ndarray | None]], titles: Sequence[Seque
 
 
 def add_scale(figure: Figure, top: float, words: str) -> None:
-    """The colour scale of the heat maps, 0 to ``top`` mm, beside the grid."""
+    """Add the colour scale of the heat maps, 0 to ``top`` mm, beside the grid."""
     scale = ScalarMappable(Normalize(0.0, top), "viridis")
     bar = figure.colorbar(scale, ax=figure.axes, shrink=0.7, fraction=0.03, pad=0.01)
     bar.set_label(words, fontsize=9)
@@ -60,7 +60,7 @@ def add_scale(figure: Figure, top: float, words: str) -> None:
 
 
 def scan_picture(actor: Actor, points: np.ndarray, normals: np.ndarray, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """(h, w, 3) uint8: a scan (P, 3) with normals, head frame, from the front; the width is that of the actor's face."""
+    """Draw a scan (P, 3) with normals (P, 3) in the head frame from the front, as wide as the face, (h, w, 3) uint8."""
     wide, high = size
     face = actor.neutral[actor.frontal]
     centre, scale = (face.min(axis=0) + face.max(axis=0)) / 2, wide / (1.25 * np.ptp(face[:, 0]))

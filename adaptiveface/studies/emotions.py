@@ -1,10 +1,10 @@
 """Figure 9: six emotions, tracked with the adaptive model and without any.
 
-The paper compares with Weise et al. 2011. Their system personalises its blendshapes from seven or more example scans, and
-steers the coefficients by a prior learned from recorded animation; neither the examples nor the prior are to be had. The
-nearest stand-in here is the blendshape fit alone (v1): generic expressions transferred to the actor, depth and 2D features,
-bounds, a ridge and a penalty on change in time instead of the learned prior. It shares with their system that the result
-cannot leave the span of the blendshapes. It lacks their example-based rig, which would serve it, and their prior.
+The paper compares with Weise et al. 2011. Their system personalises its blendshapes from at least seven example scans, and
+guides the coefficients with a prior learned from recorded animation. Neither the examples nor the prior are available. The
+closest substitute here is the blendshape fit alone (v1). It uses generic expressions transferred to the actor, depth, 2D
+features and bounds, with a ridge and a penalty on changes in time instead of the learned prior. Like their system, it cannot
+leave the span of the blendshapes. It lacks their rig from examples, which would improve it, and their prior.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .performances import EMOTIONS, emotional, track
 TOP = 3.0
 FRAMES = 36
 STAND_IN = "blendshapes alone (stand-in)"
-#: Row of the figure -> whose result, and which stage of it.
+#: Row of the figure -> the parameter set and the stage that it shows.
 METHODS = {
     STAND_IN: ("our defaults", "v1"),
     "paper()": ("paper()", "v4"),
@@ -65,8 +65,8 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     figure = grid(pictures, titles, ["true face", STAND_IN.replace(" (", "\n("), *list(METHODS)[1:]])
     add_scale(figure, TOP, "distance to the true surface, mm")
     caption = (
-        f"{take.sensor.name}. The second row is no implementation of Weise et al. 2011 but a stand-in that also stays in the "
-        "span of its blendshapes: the blendshape fit alone, with generic expressions and a penalty on change. It has neither "
+        f"{take.sensor.name}. The second row is not an implementation of Weise et al. 2011. It is a substitute that also "
+        "stays in the span of its blendshapes: the fit alone, with generic expressions and a penalty on change. It has neither "
         "their rig from example scans nor their learned prior. All emotions are performed twice, and the second time is shown. "
         "Above each face: 95th percentile of the distance to the true surface while the emotion is held, and the error of the "
         "motion as a share of the motion."

@@ -14,15 +14,24 @@ from ..model.actor import Actor
 from ..model.blendshapes import STILL, deformation_gradients, gradient_operator
 from ..model.face_model import FaceModel, embedded_face_model
 
-#: Numbers of the features on the middle of the upper and lower lid of each eye.
+#: Numbers of the features in the middle of the upper and the lower lid of each eye.
 LIDS = {"eyeBlinkRight": ((9, 13), (10, 12)), "eyeBlinkLeft": ((15, 19), (16, 18))}
 
 
 @dataclass(frozen=True)
 class System:
-    """``matrix`` (n, n): G^T A G over the n vertices that move; ``order`` (n,): the solver's; ``factor`` (n, n) of it.
+    """The linear system of deformation transfer over the n vertices that move.
 
-    ``factorising`` and ``substituting``: seconds for the factor and for every expression's x, y and z.
+    Attributes
+    ----------
+    matrix : (n, n) sparse
+        G^T A G.
+    order : (n,)
+        The solver's order of the vertices, which reduces the fill.
+    factor : (n, n) sparse
+        The lower factor in that order.
+    factorising, substituting : float
+        Time for the factor, and for x, y and z of all expressions, s.
     """
 
     matrix: sp.csr_matrix
@@ -33,14 +42,14 @@ class System:
 
 
 class ExpressionTransfer:
-    """The average head's expressions on their way to an actor's head.
+    """Deformation transfer of the average head's expressions to an actor's head.
 
     Parameters
     ----------
     actor : Actor
-        The head that the expressions are carried to, with the model's triangles.
+        Has the head to which the expressions are transferred, with the model's triangles.
     model : FaceModel, optional
-        Whose expressions they are; the embedded one by default.
+        Has the expressions; the embedded model by default.
     """
 
     def __init__(self, actor: Actor, model: FaceModel | None = None) -> None:
@@ -59,7 +68,7 @@ class ExpressionTransfer:
         return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
     def telling_triangle(self, name: str) -> int:
-        """Number of the triangle that changes most among the larger ones of the face that look to the front."""
+        """Number of the triangle that changes most in an expression, among the larger ones that face the front."""
         triangles = self.model.triangles
         normal = triangle_normals(self.model.mean, triangles)
         size = np.linalg.norm(normal, axis=1)
@@ -69,7 +78,7 @@ class ExpressionTransfer:
         return int(np.where(shown, change, -1.0).argmax())
 
     def system(self) -> System:
-        """The matrix of the transfer to this head, its fill-reducing order and its factor; without blendshapes.py's anchor."""
+        """Factorise the matrix of the transfer to this head, without the anchor of ``model/blendshapes.py``."""
         shapes = self.model.generic_expressions
         moving = np.flatnonzero(np.linalg.norm(shapes, axis=2).max(axis=0) > STILL)
         touched = self.model.triangles[np.isin(self.model.triangles, moving).any(axis=1)]
@@ -83,9 +92,19 @@ class ExpressionTransfer:
         return System(matrix.tocsr(), order, solver.L, middle - start, time.perf_counter() - middle)
 
     def gap(self, name: str, transferred: bool = True) -> tuple[float, float]:
-        """mm between the lids in a blink: of the average head, and of this one.
+        """Measure the gap between the lids in a blink.
 
-        ``transferred`` False: with the average head's displacements copied vertex by vertex.
+        Parameters
+        ----------
+        name : str
+            One of ``LIDS``.
+        transferred : bool
+            False copies the average head's displacements vertex by vertex instead of transferring them.
+
+        Returns
+        -------
+        (float, float)
+            The gaps of the average head and of this one, mm.
         """
         shape = self.actor.blendshapes[self.names.index(name)] if transferred else self.shape(name)
         heads = self.model.mean + self.shape(name), self.actor.neutral + shape

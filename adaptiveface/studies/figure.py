@@ -1,4 +1,4 @@
-"""A figure of the paper: its drawing, its numbers, and what is seen in it; saved as PNG, SVG and CSV."""
+"""Draw a figure of the paper, describe it, and save the picture and its numbers as PNG, SVG and CSV."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..runtime.blas import one_blas_thread
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Number in the paper -> the module that draws it, and what it is about.
+#: Number in the paper -> the module that draws the figure, and its subject.
 FIGURES = {
     3: ("construction", "from a neutral scan to personal blendshapes"),
     4: ("pipeline", "one frame, stage by stage"),
@@ -39,11 +39,16 @@ class PaperFigure:
 
     Attributes
     ----------
-    number : its number in the paper.
-    title : what it is about.
-    caption : what is seen, and where it differs from the paper's.
-    figure : a matplotlib ``Figure``.
-    rows : the numbers, a dict per row of the table, with the same keys.
+    number : int
+        Of the figure in the paper.
+    title : str
+        Its subject.
+    caption : str
+        What it shows, and how it differs from the paper's figure.
+    figure : matplotlib.figure.Figure
+        The drawing.
+    rows : list of dict
+        The numbers: one dict per row of the table, all with the same keys.
     """
 
     number: int
@@ -53,7 +58,7 @@ class PaperFigure:
     rows: list[dict]
 
     def save(self, folder: str | os.PathLike, dpi: int = 120) -> list[Path]:
-        """Write ``figure_N.png``, ``.svg`` and ``.csv`` in ``folder``, which is made; returns their paths."""
+        """Write ``figure_N.png``, ``.svg`` and ``.csv`` to ``folder``, which is made if needed, and return their paths."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         paths = [folder / f"figure_{self.number}.{kind}" for kind in ("png", "svg", "csv")]
@@ -74,10 +79,19 @@ def paper_figure(number: int, seed: int = 1000, noise: str = "structured-light",
 
     Parameters
     ----------
-    number : one of ``FIGURES``.
-    seed : of the synthetic performer; those from 1000 on had no part in the development of the tracker.
-    noise : of its depth sensor, as in :class:`~adaptiveface.synthetic.sensor.SyntheticSensor`.
-    frames : of one performance; None takes what the figure needs. Fewer are faster.
+    number : int
+        One of ``FIGURES``.
+    seed : int
+        Of the synthetic performer. Performers from 1000 on were not used to develop the tracker.
+    noise : str
+        Of the depth sensor, as in :class:`~adaptiveface.synthetic.sensor.SyntheticSensor`.
+    frames : int, optional
+        Number of frames of one performance; by default the number that the figure needs. Fewer frames are faster.
+
+    Returns
+    -------
+    PaperFigure
+        The drawing, its caption and its numbers.
 
     Raises
     ------

@@ -35,31 +35,47 @@ class FitProblem:
     g: np.ndarray
 
     def energy(self, x: np.ndarray) -> float:
-        """The energy of coefficients (A,), up to a constant."""
+        """Energy of coefficients (A,), up to a constant."""
         return float(0.5 * x @ self.h @ x - self.g @ x)
 
     def unbounded(self) -> np.ndarray:
-        """(A,) the minimum without bounds."""
+        """The minimum (A,) without bounds."""
         return np.linalg.solve(self.h, self.g)
 
     def clipped(self) -> np.ndarray:
-        """(A,) the shortcut: the unbounded minimum, clipped to [0, 1]."""
+        """The unbounded minimum, clipped to [0, 1]: a shortcut that is not the bounded minimum, (A,)."""
         return np.clip(self.unbounded(), 0, 1)
 
     def bounded(self) -> np.ndarray:
-        """(A,) the minimum within the bounds (section 4.2)."""
+        """The minimum (A,) within the bounds (section 4.2)."""
         return bounded_least_squares(self.h, self.g, np.zeros(len(self.g)), np.ones(len(self.g)))
 
 
 def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters: BlendshapeParameters) -> FitProblem:
-    """The last linear system of a frame's fit: rows of eqs. (1) and (2) at the pose and coefficients of ``result``.
+    """Build the last linear system of a frame's fit, from the rows of equations (1) and (2).
 
-    Written for reading, without the robust weights and the joint pose of ``tracking/expression.py``.
+    This is written for reading, without the robust weights and the joint pose of ``tracking/expression.py``.
+
+    Parameters
+    ----------
+    actor : Actor
+        The performer's rig.
+    frame : RgbdFrame
+        With depth and features.
+    result : TrackedFrame
+        Of that frame; its pose and coefficients are where the rows are taken.
+    parameters : BlendshapeParameters
+        w, the ridge and the largest distance of matches are used.
+
+    Returns
+    -------
+    FitProblem
+        The normal equations.
     """
     keep = actor.frontal & actor.depth_valid
     rotation = result.head_pose[:3, :3]
     x = result.coefficients_initial
-    # The rows are those of the actor's own basis: with personal blendshapes, v1 is another shape.
+    # The rows belong to the actor's own basis. With personal blendshapes, v1 is another shape.
     moved = np.tensordot(x, actor.blendshapes[: len(x)], axes=1)
     in_camera = result.in_camera(actor.neutral + moved)
     window = crop_window(frame.camera, frame.camera.project(in_camera[keep]), 20.0)
@@ -67,12 +83,12 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
     normals = vertex_normals(in_camera, actor.triangles)
     matches = find_correspondences(surface, in_camera[keep], normals[keep], parameters.max_correspondence_distance)
     used = matches.weights > 0
-    # Eq. (1): n^T (b0 + B x - p) = distance + n^T B (x - x_now), with everything turned into the head frame.
+    # Eq. (1): n^T (b0 + B x - p) = distance + n^T B (x - x_now), with everything in the head frame.
     planes = matches.normals[used] @ rotation
     basis = actor.blendshapes[:, keep][:, used]
     depth_rows = np.einsum("nd,and->na", planes, basis)
     depth_right = np.einsum("nd,nd->n", planes, moved[keep][used]) - matches.distances[used]
-    # Eq. (2): [1 0 -u; 0 1 -v] P (R (f0 + F x) + t) for every feature seen.
+    # Eq. (2): [1 0 -u; 0 1 -v] P (R (f0 + F x) + t) for every visible feature.
     rows = feature_rows(frame.features, frame.camera, result.head_pose)
     corners, shares = actor.feature_triangles[rows.index], actor.feature_weights[rows.index]
     rest = np.einsum("fk,fkd->fd", shares, actor.neutral[corners])
@@ -85,28 +101,28 @@ def fit_problem(actor: Actor, frame: RgbdFrame, result: TrackedFrame, parameters
 
 
 def fitted_coefficients(results: Sequence[TrackedFrame]) -> np.ndarray:
-    """(F, A) the coefficients of section 4.2 of every tracked frame."""
+    """Coefficients (F, A) of section 4.2 of all tracked frames."""
     return np.array([result.coefficients_initial for result in results if result.tracked])
 
 
 def liveliest(coefficients: np.ndarray, count: int = 4) -> np.ndarray:
-    """(count,) numbers of the expressions whose coefficients (F, A) range widest, the widest first."""
+    """Numbers (count,) of the expressions whose coefficients (F, A) have the widest range, the widest first."""
     return np.argsort(-np.ptp(coefficients, axis=0))[:count]
 
 
 def filtered(measured: np.ndarray, parameters: KalmanParameters) -> np.ndarray:
-    """The Kalman filter's output (F, A) for measured coefficients (F, A)."""
+    """Filter measured coefficients (F, A) with the Kalman filter; returns (F, A)."""
     kalman = CoefficientFilter(parameters)
     return np.array([kalman.update(row) for row in measured])
 
 
 def jitter(x: np.ndarray) -> float:
-    """Root mean square of the second difference over frames of coefficients (F, A): how much they tremble."""
+    """How much coefficients (F, A) tremble: root mean square of their second difference over the frames."""
     return float(np.sqrt((np.diff(x, 2, axis=0) ** 2).mean()))
 
 
 def lag(output: np.ndarray, measured: np.ndarray, most: int = 30) -> int:
-    """Frames by which ``output`` (F, A) trails ``measured`` (F, A): the shift with the largest correlation."""
+    """Number of frames by which ``output`` (F, A) trails ``measured`` (F, A): the shift with the largest correlation."""
     output, measured = output - output.mean(axis=0), measured - measured.mean(axis=0)
 
     def correlation(shift: int) -> float:

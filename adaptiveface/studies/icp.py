@@ -1,4 +1,4 @@
-"""Run rigid ICP on one frame and keep every iterate; measure the head pose against the truth (section 4.1)."""
+"""Run rigid ICP on one frame and keep every iterate, and measure head poses against the truth (section 4.1)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class IcpRun:
 
 
 def displaced(pose: np.ndarray, centre: np.ndarray, shift: float, turn: float) -> np.ndarray:
-    """A pose (4, 4) moved by ``shift`` mm sideways and forwards, and turned by ``turn`` degrees about the vertical."""
+    """Move a pose (4, 4) by ``shift`` mm sideways and forwards, and turn it by ``turn`` degrees about the vertical."""
     update = np.concatenate([np.radians(turn) * np.array([0.0, 1.0, 0.0]), shift * np.array([0.8, 0.0, -0.6])])
     return apply_rigid_update(pose, update, transform_points(pose, centre))
 
@@ -72,7 +72,7 @@ def run_icp(
     Returns
     -------
     IcpRun
-        Every pose, with the matches that it had.
+        Every pose, with the number of its matches and their mean distance.
     """
     pixels = frame.camera.project(transform_points(start, shape))
     surface = depth_surface(frame.depth, frame.camera, crop_window(frame.camera, pixels, 40.0), DepthParameters())
@@ -92,7 +92,26 @@ def run_icp(
 
 
 def depth_points(frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius: float = 130.0, stride: int = 3) -> np.ndarray:
-    """(p, 3) measured points around the head, mm, in the head frame given by ``pose`` (4, 4)."""
+    """Back-project the depth around the head.
+
+    Parameters
+    ----------
+    frame : RgbdFrame
+        With depth.
+    pose : (4, 4)
+        Head frame to camera frame, mm.
+    centre : (3,)
+        Of the head, in the head frame, mm.
+    radius : float
+        Largest distance of points from the centre, mm.
+    stride : int
+        Every so many-th pixel of every so many-th row is used.
+
+    Returns
+    -------
+    (p, 3)
+        Measured points in the head frame, mm.
+    """
     v, u = np.mgrid[0 : frame.depth.shape[0] : stride, 0 : frame.depth.shape[1] : stride]
     depth = frame.depth[::stride, ::stride]
     pixels = np.stack([u[depth > 0], v[depth > 0]], axis=1).astype(float)
@@ -101,7 +120,7 @@ def depth_points(frame: RgbdFrame, pose: np.ndarray, centre: np.ndarray, radius:
 
 
 def rotation_angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Degrees between two poses (4, 4)."""
+    """Angle between two poses (4, 4), degrees."""
     return float(np.degrees(np.arccos(np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1, 1))))
 
 

@@ -29,7 +29,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
         meshes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
         def keep(variant, result, meshes=meshes):
-            """Keep the shown frame's mesh and its distance from the true surface."""
+            """Keep the mesh of the shown frame and its distance from the true surface."""
             if result.index == shown:
                 meshes[variant.name] = getattr(result, variant.stage), take.distance(result, variant.stage)
 
@@ -48,7 +48,8 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     figure = grid(pictures, titles, list(PARAMETER_SETS))
     add_scale(figure, TOP, "distance to the true surface, mm")
     caption = (
-        f"{sensor.name}. Colour: distance of the result to the true surface in one frame; above it its median there, and the "
+        f"{sensor.name}. Colour: distance of the result to the true surface in one frame; "
+        "the numbers are its median in that frame and the "
         "95th percentile over the repeat of the performance, mm. The paper shows shaded meshes of a person; here the truth is "
         "known."
     )

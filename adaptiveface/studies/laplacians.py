@@ -1,4 +1,4 @@
-"""Deform with other Laplacians, and through holes in the depth map (section 4.3)."""
+"""Deform with other Laplacians, and over holes in the depth map (section 4.3)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LAPLACIANS = ("cotangent", "cotangent, non-negative", "uniform")
 
 
 def uniform_laplacian(vertices: np.ndarray, triangles: np.ndarray) -> sp.csr_matrix:
-    """(N, N) graph Laplacian, every edge counts 1: it knows the connections of the mesh but not its shape."""
+    """The graph Laplacian (N, N), in which every edge counts 1. It knows the mesh's connections, but not its shape."""
     neighbours = adjacency(triangles, len(vertices)).astype(float)
     return (sp.diags(np.asarray(neighbours.sum(axis=1)).ravel()) - neighbours).tocsr()
 
@@ -105,7 +105,7 @@ def error_in_hole(
     Returns
     -------
     float
-        Mean error inside the holes, mm; NaN where no vertex lies inside one.
+        Mean error inside the holes, mm; NaN if no vertex lies inside one.
     """
     errors = []
     for result, full, hole in zip(run, session.frames, pierced.frames, strict=True):

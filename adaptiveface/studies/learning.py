@@ -8,7 +8,7 @@ from ..tracking.adaptive_pca import AdaptiveModel
 
 
 def singular_values(model: AdaptiveModel) -> np.ndarray:
-    """(k,) singular values of the buffer's samples within the k correctives, as the rms displacement of a vertex in mm."""
+    """Singular values (k,) of the buffer's samples within the k correctives, as the rms displacement of a vertex, mm."""
     samples = model.buffer()
     if len(samples) == 0 or model.correctives.shape[1] == 0:
         return np.zeros(0)
@@ -17,11 +17,22 @@ def singular_values(model: AdaptiveModel) -> np.ndarray:
 
 
 def angle_to_batch(model: AdaptiveModel, samples: np.ndarray | None = None) -> float:
-    """Mean principal angle, degrees, between the k correctives and the k leading directions of a batch PCA.
+    """Compare the k correctives with the k leading directions of a batch PCA.
 
-    Batch: a singular value decomposition of all ``samples`` (s, 3n) at once, by default those of the model's buffer, through
-    the origin as in section 5. It is taken from their products (s, s), and the cosines of the angles from products with the
-    correctives: both are small matrices.
+    The batch PCA is a singular value decomposition of all samples at once, through the origin as in section 5. It is computed
+    from the products of the samples (s, s), and the angles from their products with the correctives. Both matrices are small.
+
+    Parameters
+    ----------
+    model : AdaptiveModel
+        Has the correctives.
+    samples : (s, 3n), optional
+        Displacements of the frontal vertices, mm; those of the model's buffer by default.
+
+    Returns
+    -------
+    float
+        Mean principal angle, degrees. NaN if there are fewer directions than correctives.
     """
     samples = model.buffer() if samples is None else samples
     k = model.correctives.shape[1]
@@ -29,7 +40,7 @@ def angle_to_batch(model: AdaptiveModel, samples: np.ndarray | None = None) -> f
         return float("nan")
     variances, mixes = np.linalg.eigh((samples @ samples.T).astype(float))
     variances, mixes = variances[-k:], mixes[:, -k:]
-    if variances[0] <= 1e-12 * variances[-1]:  # fewer directions than correctives
+    if variances[0] <= 1e-12 * variances[-1]:  # there are fewer directions than correctives
         return float("nan")
     products = (samples @ model.correctives.astype(samples.dtype)).astype(float)
     cosines = np.linalg.svd(products.T @ (mixes / np.sqrt(variances)), compute_uv=False)

@@ -1,4 +1,4 @@
-"""What the heat maps and charts of the notebooks show, per vertex and per frame. Millimetres."""
+"""Measure errors per vertex and per frame, mm, for the heat maps and charts of the notebooks."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ..tracking.feature_rows import reprojection_errors
 from ..tracking.types import TrackedFrame
 from .session import Session
 
-#: (vertices (N, 3) in the head frame, heat (N,) or None) of one tracked frame.
+#: Gives the vertices (N, 3) of one tracked frame in the head frame, mm, and their heat (N,) or None.
 Pane = Callable[[TrackedFrame, RgbdFrame], tuple[np.ndarray, np.ndarray | None]]
 
-#: Height of the chart of errors, mm or px, where they hold the sensor's noise.
+#: Height of the chart of errors, mm or px, if they contain the sensor's noise.
 WITHOUT_TRUTH = 5.0
 
 
 def depth_distance(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
-    """(n,) distance, mm, of camera-frame points (n, 3) from the depth on their viewing ray; NaN where none."""
+    """Distances (n,) of camera-frame points (n, 3) from the depth on their viewing rays, mm; NaN without depth."""
     pixels = np.round(frame.camera.project(points)).astype(int)
     height, width = frame.depth.shape
     inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
@@ -31,10 +31,19 @@ def depth_distance(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
 
 
 class Measures:
-    """Errors of tracked frames of one session: against the truth where it is known, else against the depth map.
+    """Errors of a session's tracked frames, against the truth if it is known, and otherwise against the depth map.
 
-    Of a video, without depth, nothing is known of a vertex; :meth:`mean_error` is then that of the 2D features in pixels.
-    ``label`` says what colours show ("" where they show nothing), ``curve`` what :meth:`mean_error` is, in ``unit``.
+    A video has no depth, so that nothing is known about single vertices. :meth:`mean_error` is then the error of the 2D
+    features in pixels.
+
+    Attributes
+    ----------
+    has_truth : bool
+        Whether the truth is known on the actor's mesh.
+    label : str
+        Meaning of the colours; "" if they show nothing.
+    curve, unit : str
+        Meaning and unit of :meth:`mean_error`.
     """
 
     def __init__(self, session: Session) -> None:
@@ -51,11 +60,11 @@ class Measures:
             self._alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
 
     def top(self, known: float) -> float:
-        """Upper end of a chart of mean errors that needs ``known`` mm against the truth: without it, more."""
+        """Upper end of a chart of mean errors. ``known`` mm suffice against the truth; without it, the chart is higher."""
         return known if self.has_truth else max(known, WITHOUT_TRUTH)
 
     def error(self, result: TrackedFrame, frame: RgbdFrame, stage: str = "v4") -> np.ndarray:
-        """(N,) error of a stage's mesh, mm; NaN outside the frontal region, where unknown, and where the head is lost."""
+        """Errors (N,) of a stage's mesh, mm; NaN outside the frontal region, if unknown, and if the head is lost."""
         actor = self.session.actor
         if not result.tracked:
             return np.full(len(actor.neutral), np.nan)
@@ -68,12 +77,12 @@ class Measures:
             lengths = np.linalg.norm(vectors, axis=1)
         else:
             towards = -np.einsum("nd,nd->n", vertex_normals(vertices, actor.triangles), vertices)
-            seen = towards > 0.2 * np.linalg.norm(vertices, axis=1)  # the far side is hidden by the near one
+            seen = towards > 0.2 * np.linalg.norm(vertices, axis=1)  # the near side hides the far one
             lengths = np.where(seen, depth_distance(frame, vertices), np.nan)
         return np.where(actor.frontal & actor.depth_valid, lengths, np.nan)
 
     def mean_error(self, result: TrackedFrame | None, frame: RgbdFrame, stage: str = "v4") -> float:
-        """Mean of :meth:`error`, mm; of a video that of the 2D features, px. NaN for a frame that is not tracked."""
+        """Mean of :meth:`error`, mm, or for a video of the 2D features' errors, px. NaN for a frame that is not tracked."""
         if result is None or not result.tracked:
             return float("nan")
         if self.session.colour_only:
@@ -84,7 +93,7 @@ class Measures:
         return float(known.mean()) if len(known) else float("nan")
 
     def mean_map(self, results, frames, stage: str = "v4") -> np.ndarray:
-        """(N,) mean of :meth:`error` over the tracked frames, mm; NaN where it is never known."""
+        """Means (N,) of :meth:`error` over the tracked frames, mm; NaN for vertices whose error is never known."""
         errors = np.full((1, len(self.session.actor.neutral)), np.nan)
         tracked = [self.error(r, f, stage) for r, f in zip(results, frames, strict=True) if r is not None and r.tracked]
         errors = np.vstack([errors, *tracked])
@@ -92,13 +101,13 @@ class Measures:
         return np.where(known > 0, np.nansum(errors, axis=0) / np.maximum(known, 1), np.nan)
 
     def stage(self, name: str) -> Pane:
-        """A pane: the mesh of stage "v1" .. "v4", coloured by its error where there is one."""
+        """Make a pane of the mesh of a stage, "v1" to "v4", coloured by its error if it is known."""
         if self.session.colour_only:
             return plain(name)
         return lambda result, frame: (getattr(result, name), self.error(result, frame, name))
 
     def difference(self, name: str, other: str) -> Pane:
-        """A pane: the mesh of stage ``name``, coloured by its distance from stage ``other`` (figures 4 and 7)."""
+        """Make a pane of the mesh of stage ``name``, coloured by its distance from stage ``other`` (figures 4 and 7)."""
         frontal = self.session.actor.frontal
 
         def pane(result: TrackedFrame, frame: RgbdFrame):
@@ -109,11 +118,11 @@ class Measures:
 
 
 def plain(name: str) -> Pane:
-    """A pane: the mesh of a stage in the colour of skin."""
+    """Make a pane of the mesh of a stage in the colour of skin."""
     return lambda result, frame: (getattr(result, name), None)
 
 
 def model_features(session: Session, vertices: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """(40, 3) camera frame: where the 2D features sit on a mesh (N, 3) in the head frame."""
+    """Places (40, 3) of the 2D features in the camera frame, on a mesh (N, 3) in the head frame, mm."""
     actor = session.actor
     return transform_points(pose, np.einsum("fk,fkd->fd", actor.feature_weights, vertices[actor.feature_triangles]))

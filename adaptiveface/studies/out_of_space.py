@@ -1,4 +1,4 @@
-"""Figure 6: the deformation that makes the output (2D features only), and the one that feeds the learning (depth as well)."""
+"""Figure 6: the deformation of the output, to 2D features only, and of the samples to learn from, to depth as well."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     figure = grid(pictures, titles, list(PARAMETER_SETS))
     add_scale(figure, TOP, "distance from v3, mm")
     caption = (
-        f"{take.sensor.name}, frame {shown}. v4 bends v3 to the 2D features only, v2 follows the depth map as well. Colour: "
-        "how far each lies from v3. Above it the mean over the performance, and the roughness: by how much a vertex's "
-        "displacement differs from its neighbours' mean (root mean square), mm."
+        f"{take.sensor.name}, frame {shown}. v4 deforms v3 to the 2D features only, and v2 follows the depth map as well. "
+        "Colour: the distance of each from v3. The numbers are the mean over the performance, and the roughness: by how much a "
+        "vertex's displacement differs from its neighbours' mean (root mean square), mm."
     )
     return caption, figure, rows

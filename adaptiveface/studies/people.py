@@ -48,14 +48,14 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     means = "; ".join(f"{stage} {_mean(rows, stage):.2f}" for stage in ("v1", "v4"))
     caption = (
         f"{len(labels)} performers, {noise} noise, one frame of the second time each. The blendshape fit v1 stands for "
-        "trackers that stay within their shapes; the paper compares with Weise et al. 2011, whose system is not at hand. Mean "
-        f"over performers and frames of the 95th percentile of the distance to the true surface, mm: {means}."
+        "trackers that stay within their shapes; the paper compares with Weise et al. 2011, whose system is not available. "
+        f"Mean over performers and frames of the 95th percentile of the distance to the true surface, mm: {means}."
     )
     return caption, figure, rows
 
 
 def _row(take: Take, result, distances: dict[str, np.ndarray]) -> tuple[list[np.ndarray], list[str]]:
-    """Pictures and titles of one person: input, truth, both meshes, their errors, the character."""
+    """Pictures and titles of one person: input, truth, both meshes, their errors and the character."""
     faces, frame = Faces(take.actor, TOP), take.sensor.read(result.index)
     view = face_view(frame.camera, result.in_camera(result.v4)[None, take.actor.frontal], SIZE[0], SIZE[1] / SIZE[0])
     truth = take.sensor.ground_truth(result.index)

@@ -1,4 +1,4 @@
-"""What the figures show: synthetic performers, their captured actors, and trackers that see the same frames."""
+"""Make what the figures show: synthetic performers, their captured actors, and trackers that see the same frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..tracking.types import TrackedFrame
 PARAMETER_SETS: Mapping[str, Parameters] = {"paper()": Parameters.paper(), "our defaults": Parameters()}
 NEUTRAL_FRAMES = 20
 
-#: The six basic emotions as activations of the embedded model's expressions, both sides alike. They follow the action
+#: The six basic emotions as activations of the embedded model's expressions, equal on both sides. They follow the action
 #: units that Ekman and Friesen give for the prototypes.
 EMOTIONS: Mapping[str, Mapping[str, float]] = {
     "anger": {"browDown": 0.9, "eyeSquint": 0.5, "noseSneer": 0.35, "mouthPress": 0.7, "mouthRollUpper": 0.3},
@@ -51,16 +51,16 @@ class Take:
 
     @classmethod
     def performed(cls, seed: int, noise: str, frames: int, repeats: int) -> Take:
-        """The performer's own performance of ``frames`` frames, ``repeats`` times."""
+        """Make a take of the performer's own performance of ``frames`` frames, ``repeats`` times."""
         return cls.of(SyntheticSensor(seed, noise, NEUTRAL_FRAMES, frames, repeats, colour=False))
 
     @property
     def scored(self) -> np.ndarray:
-        """(N,) bool: the frontal vertices that a depth camera sees."""
+        """Which vertices are frontal and visible to a depth camera, (N,) bool."""
         return self.actor.frontal & self.actor.depth_valid
 
     def distance(self, result: TrackedFrame, stage: str = "v4") -> np.ndarray:
-        """(N,) distance of a stage's mesh from the true surface, mm; NaN where :attr:`scored` is not."""
+        """Distances (N,) of a stage's mesh from the true surface, mm; NaN for vertices that are not :attr:`scored`."""
         truth = self.sensor.ground_truth(result.index).vertices
         out = np.full(len(truth), np.nan)
         points = result.in_camera(getattr(result, stage))[self.scored]
@@ -68,7 +68,7 @@ class Take:
         return out
 
     def liveliest(self, count: int, apart: int = 12) -> list[int]:
-        """Frames of the first performance whose true motion is largest, ``apart`` from each other, in their order."""
+        """Frames of the first performance with the largest true motion, in order, at least ``apart`` frames from each other."""
         first = self.sensor.neutral_frames
         motion = []
         for index in range(first, first + self.sensor.frames):
@@ -94,7 +94,7 @@ class Tracked(NamedTuple):
 def track(
     take: Take, sets: Mapping[str, Parameters] = PARAMETER_SETS, frames: Iterable[RgbdFrame] | None = None
 ) -> Iterator[Tracked]:
-    """Track every frame with every parameter set, frame by frame; nothing is kept."""
+    """Track every frame with every parameter set and yield the results one by one. Nothing is kept."""
     trackers = {name: FaceTracker(take.actor, parameters) for name, parameters in sets.items()}
     for frame in take.sensor if frames is None else frames:
         for name, tracker in trackers.items():
@@ -103,7 +103,7 @@ def track(
 
 
 def emotional(seed: int, noise: str, frames: int) -> tuple[Take, dict[str, range]]:
-    """The six emotions one after the other, ``frames`` frames each, twice; when each is held the second time."""
+    """Make a take of the six emotions, ``frames`` frames each, performed twice; also say when each is held the second time."""
     sensor = SyntheticSensor(seed, noise, NEUTRAL_FRAMES, frames * len(EMOTIONS), 2, colour=False)
     names = sensor.performer.expression_names
     rise = np.arange(frames) / (frames - 1)

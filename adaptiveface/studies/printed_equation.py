@@ -14,11 +14,18 @@ from ..tracking.types import TrackedFrame
 
 
 class PrintedEquation:
-    """Equation (7) solved literally: dv = (K^T K)^-1 K^T G^-1 a with K = [Q; I; L], G = diag(H, w1 I, w2 I).
+    """Solves equation (7) literally: dv = (K^T K)^-1 K^T G^-1 a with K = [Q; I; L], G = diag(H, w1 I, w2 I).
 
-    (For a tall K of full column rank this equals the pseudo-inverse that the paper prints.) Row by row G^-1 a is
-    H_j^-1 d_j, w1 (p_i - v_i) / w1 and w2 0 / w2: the weights cancel, whatever their values. Camera frame, with pixels
-    measured from the principal point, so that P = diag(f, f, 1).
+    For a tall K of full column rank, this equals the pseudo-inverse that the paper prints. The rows of G^-1 a are H_j^-1 d_j,
+    w1 (p_i - v_i) / w1 and w2 0 / w2, so that the weights cancel for any values. Everything is in the camera frame, with
+    pixels measured from the principal point, so that P = diag(f, f, 1).
+
+    Parameters
+    ----------
+    actor : Actor
+        The performer's rig.
+    camera : Camera
+        Of the frames.
     """
 
     def __init__(self, actor: Actor, camera: Camera) -> None:
@@ -33,11 +40,26 @@ class PrintedEquation:
         rows = np.arange(len(columns))
         self._select = sp.csr_matrix((np.ones(len(columns)), (rows, columns)), (len(columns), n))
         smooth = laplacian.T @ laplacian + sp.identity(n)
-        # P is diagonal, so the three coordinates have their own matrices: focal length for x and y, 1 for z.
+        # P is diagonal, so each coordinate has its own matrix, with the focal length for x and y, and 1 for z.
         self._factors = [splu((smooth + s**2 * self._select.T @ self._select).tocsc()) for s in (camera.fx, camera.fy, 1.0)]
 
     def deform(self, frame: RgbdFrame, result: TrackedFrame, w1: float, w2: float) -> np.ndarray:
-        """Displacement (n, 3) of the frontal vertices of v1 in the head frame, mm."""
+        """Deform v1 of one frame.
+
+        Parameters
+        ----------
+        frame : RgbdFrame
+            With depth and features.
+        result : TrackedFrame
+            Of that frame.
+        w1, w2 : float
+            The weights, which cancel.
+
+        Returns
+        -------
+        (n, 3)
+            Displacements of the frontal vertices in the head frame, mm.
+        """
         vertices = result.in_camera(result.v1[self._frontal])
         to_depth = self._depth_points(frame, vertices) - vertices
         points = (w1 * to_depth) / w1  # G^-1 a: the second block
@@ -47,7 +69,7 @@ class PrintedEquation:
         return solved @ result.head_pose[:3, :3]
 
     def _depth_points(self, frame: RgbdFrame, vertices: np.ndarray, reach: float = 15.0) -> np.ndarray:
-        """p_i of eq. (3): the depth measured on the vertex's viewing ray; the vertex itself where there is none."""
+        """p_i of equation (3): the measured point on each vertex's viewing ray, or the vertex itself if there is none."""
         pixels = np.round(self.camera.project(vertices)).astype(int)
         pixels = np.clip(pixels, 0, [self.camera.width - 1, self.camera.height - 1])
         measured = frame.depth[pixels[:, 1], pixels[:, 0]]
@@ -55,7 +77,7 @@ class PrintedEquation:
         return np.where(use[:, None], vertices * (measured / vertices[:, 2])[:, None], vertices)
 
     def _feature_rows(self, frame: RgbdFrame, vertices: np.ndarray, to_depth: np.ndarray) -> np.ndarray:
-        """K^T G^-1 a of the first block, (n, 3); with d = (0, 0, dz), H_j^-1 d_j = ((u - v) dz, dz)."""
+        """K^T G^-1 a of the first block, (n, 3). With d = (0, 0, dz), H_j^-1 d_j is ((u - v) dz, dz)."""
         at = self._select @ vertices
         along = (self._select @ to_depth)[:, 2]
         seen = np.zeros((len(self._features), 2)) if frame.features is None else frame.features.pixels[self._features]

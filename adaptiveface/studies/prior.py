@@ -17,7 +17,7 @@ from ..parameters import FitParameters
 from ..pipeline import one_blas_thread
 from .session import Session
 
-#: So many times the deviation that people have is as good as none at all: the prior counts 1e-4 of itself.
+#: With this multiple of people's deviations, the prior counts 1e-4 of itself, which is practically nothing.
 FREE = 100.0
 
 
@@ -49,7 +49,7 @@ class PriorFit:
     error: np.ndarray
 
     def median_error(self) -> tuple[float, float]:
-        """mm from the true head: where the scan has shown it, and elsewhere."""
+        """Median distances from the true head, mm: of the vertices that the scan shows, and of the others."""
         return float(np.median(self.error[self.matched])), float(np.median(self.error[~self.matched]))
 
 

@@ -1,4 +1,4 @@
-"""A recording or a video for the notebooks: which of its frames are tracked, and which make the neutral face."""
+"""Choose which frames of a recording or a video are tracked, and which ones make the neutral face."""
 
 from __future__ import annotations
 
@@ -20,17 +20,25 @@ from ..sensors.numbered import Abilities
 
 DEGRADED = "without depth, degraded: pose and expression come from the 2D features, and nothing is learned"
 
-#: What a doubtful neutral means, after what is wrong with it.
-DOUBTFUL = "{} Every expression is measured from this face, so that what it does here is missing from all of them."
-#: How a video's head is made.
-PROPORTIONS = "The head: proportions alone, from all of these frames, whatever the face does in them."
+#: The consequence of a doubtful neutral, which follows the reason for the doubt.
+DOUBTFUL = "{} Every expression is measured from this face, so that its own expression is missing from all of them."
+#: Says how the head of a video is made.
+PROPORTIONS = "The head has the person's proportions only. They come from all of these frames, with any expression."
 #: How to name the frames of the neutral face.
 NAMED = "load_session(..., neutral_frames=range(100, 140))"
 
 
 @dataclass(frozen=True)
 class Take:
-    """``neutral`` and ``frames`` of a source, with features; ``note``: what is tracked, and why not more."""
+    """The frames of a source that a session uses.
+
+    Attributes
+    ----------
+    neutral, frames : list of RgbdFrame
+        Of the neutral face and of the performance, with features.
+    note : str
+        What is tracked, and why not more.
+    """
 
     neutral: list[RgbdFrame]
     frames: list[RgbdFrame]
@@ -45,15 +53,17 @@ def read_take(source: FrameSource, neutral_frames: int | Sequence[int], count: i
     source : FrameSource
         A recording or a video.
     neutral_frames : int or sequence of int
-        So many, chosen by :func:`~adaptiveface.neutral.coverage.choose_by_coverage`; or the numbers of these very frames.
+        The number of frames that :func:`~adaptiveface.neutral.coverage.choose_by_coverage` chooses, or the numbers of
+        the frames.
     count : int
-        Frames of performance. Where the take is too short to hold both apart, neutral frames are tracked as well.
+        Number of frames of performance. If the take is too short for both, the neutral frames are tracked as well.
     first : int
-        Number of the first frame that counts.
+        Number of the first frame to use.
 
     Returns
     -------
     Take
+        The frames, and a note about them.
 
     Raises
     ------
@@ -83,7 +93,7 @@ def read_take(source: FrameSource, neutral_frames: int | Sequence[int], count: i
 
 
 def _chosen(found: list[RgbdFrame], count: int) -> tuple[list[RgbdFrame], str]:
-    """The neutral frames, and what is to be said of them; of a take without faces its first frames."""
+    """The neutral frames and a note about them. Without any face, they are the first frames."""
     faces = [frame for frame in found if face_found(frame)]
     choice = choose_by_coverage(faces, _feature_points(), count)
     said = DOUBTFUL.format(_sentence(choice.note)) if choice.doubtful else _sentence(choice.note)
@@ -91,14 +101,14 @@ def _chosen(found: list[RgbdFrame], count: int) -> tuple[list[RgbdFrame], str]:
 
 
 def _named(frames: list[RgbdFrame]) -> tuple[list[RgbdFrame], str]:
-    """The frames that were named, and what is doubtful about them."""
+    """The named frames, and a note about what is doubtful about them."""
     points = _feature_points()
     trouble = doubts([judge(frame, points) for frame in frames])
     return frames, trouble and DOUBTFUL.format(f"The neutral frames are doubtful: of {len(frames)}, {trouble}.")
 
 
 def _feature_points() -> np.ndarray:
-    """(40, 3) the model's features, mm."""
+    """The model's features, (40, 3) mm."""
     model = face_model.embedded_face_model()
     return surface_points(model.mean, model.feature_triangles, model.feature_weights)
 
@@ -108,7 +118,7 @@ def _sentence(words: str) -> str:
 
 
 def _note(source: FrameSource, neutral: list[RgbdFrame], frames: list[RgbdFrame], skipped: dict[int, str], said: str) -> str:
-    """How many frames are tracked and why not more, then what the neutral is, and what is doubtful about it; a line each."""
+    """Say how many frames are tracked and why not more, what the neutral is, and what is doubtful about it, on a line each."""
     what = f"all {len(source)} frames are tracked"
     if len(frames) < len(source):
         what = f"{len(frames)} of {len(source)} frames are tracked, {numbers([frame.index for frame in frames])}"
@@ -128,7 +138,7 @@ def _note(source: FrameSource, neutral: list[RgbdFrame], frames: list[RgbdFrame]
 
 
 def numbers(indices: Sequence[int]) -> str:
-    """Frame numbers in words: "frames 3 to 7", "frame 3", "5 frames from 3 to 40"."""
+    """Write frame numbers in words: "frames 3 to 7", "frame 3", "5 frames from 3 to 40"."""
     low, high = min(indices, default=0), max(indices, default=0)
     if low == high:
         return f"frame {low}"

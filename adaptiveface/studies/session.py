@@ -1,7 +1,7 @@
 """Load what every notebook starts with: a short performance in memory and the personal rig of its performer.
 
-``load_session("synthetic")`` renders the embedded performer once and keeps frames and rig in the user's cache folder;
-``load_session("path/to/a/recording")`` takes a recording or a video instead, and ``actor="actor.npz"`` a saved head.
+``load_session("synthetic")`` renders a synthetic performer once, and keeps the frames and the rig in the user's cache folder.
+``load_session("path/to/a/recording")`` takes a recording or a video instead, and ``actor="actor.npz"`` takes a saved head.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from .recorded import read_take
 
 T = TypeVar("T")
 
-#: Environment variable: fewer frames, for test runs.
+#: Environment variable for fewer frames in test runs.
 FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
-#: The source of that name: a performance made to watch the correctives by, and how long it is.
+#: Name and length of the performance that was made for watching the correctives.
 LESSON, LESSON_FRAMES = "lesson", 300
-#: Changes when the synthetic sensor or this file's layout does, so that an old cache is not used.
+#: Changes with the synthetic sensor and with this file's layout, so that an old cache is not used.
 CACHE_VERSION = 2
-#: Mean distance, mm, of a head's face from the performer's from which on it is another person's: captured ones lie within 0.5.
+#: Mean distance from the performer's face at which a head belongs to another person, mm. Captured heads lie within 0.5 mm.
 ANOTHER = 1.5
 
 _FIELDS = {
@@ -57,21 +57,39 @@ _FIELDS = {
     "performance": Field(("F",), "i"),
     "truth_neutral": Field(("V", 3)),
 }
-#: What stays on the disk: kernels that work on the same performance share it.
+#: Arrays that stay on the disk. Kernels that work on the same performance share them.
 _MAPPED = ("depth", "colour", "truth_vertices")
 
 
 def fast() -> bool:
-    """Whether notebooks run in their short form (``ADAPTIVEFACE_NOTEBOOK_FAST=1``)."""
+    """Whether the notebooks run in their short form (``ADAPTIVEFACE_NOTEBOOK_FAST=1``)."""
     return os.environ.get(FAST, "") not in ("", "0")
 
 
 @dataclass
 class Session:
-    """``neutral`` and ``frames``: RGB-D frames with features in memory; ``truth`` of all of them, or None.
+    """A short performance, with what is known about it.
 
-    A session is a frame source itself (``camera``, ``name``, ``len``, ``read``): neutral frames first. ``colour_only``: of a
-    video, without depth. ``guessed_camera``: nothing says what its focal length is, until the actor is captured.
+    A session is itself a frame source (``camera``, ``name``, ``len``, ``read``), in which the neutral frames come first.
+
+    Attributes
+    ----------
+    name : str
+        Of the source.
+    camera : Camera
+        Of the frames.
+    neutral, frames : sequence of RgbdFrame
+        Frames of the neutral face and of the performance, with features.
+    truth : GroundTruth or None
+        Of all frames.
+    has_features : bool
+        Whether the frames bring features.
+    fps : float
+        Frames per second.
+    colour_only : bool
+        Whether the source is a video without depth.
+    guessed_camera : bool
+        Whether the focal length is unknown until the actor is captured.
     """
 
     name: str
@@ -90,12 +108,12 @@ class Session:
         return len(self.neutral) + len(self.frames)
 
     def read(self, index: int) -> RgbdFrame:
-        """Frame ``index``, from 0: the neutral ones, then the others. Raises IndexError beyond the last."""
+        """Return frame ``index``, counted from 0, with the neutral frames first. Raises IndexError after the last one."""
         return self.neutral[index] if index < len(self.neutral) else self.frames[index - len(self.neutral)]
 
     @property
     def actor(self) -> Actor:
-        """The rig captured from the neutral frames (section 3), once; later sessions take it from the cache."""
+        """The rig, which is captured once from the neutral frames (section 3). Later sessions take it from the cache."""
         if self._actor is None:
             self._actor = None if self._actor_file is None else _cached(self._actor_file, Actor.load)
         if self._actor is None:
@@ -108,17 +126,17 @@ class Session:
     def _captured(self) -> Actor:
         if not self.colour_only:
             return capture_from(self, Parameters(), neutral_frames=range(len(self.neutral)))
-        actor = capture_from(self, Parameters())  # the proportions alone, from whatever the face does
+        actor = capture_from(self, Parameters())  # only the proportions, from frames with any expression
         if self.guessed_camera:  # the capture has found the focal length
             self.neutral, self.frames = ([replace(f, camera=self.camera) for f in some] for some in (self.neutral, self.frames))
         return actor
 
     def make_tracker(self, actor: Actor, parameters: Parameters) -> Tracker:
-        """The tracker for these frames, which for a video is the one without depth."""
+        """Make the tracker for these frames. For a video, it is the one without depth."""
         return make_tracker(actor, parameters, self.colour_only)
 
     def tracked(self, parameters: Parameters | None = None) -> Iterator[TrackedFrame]:
-        """Every frame of the performance, tracked by a new tracker with ``parameters``; our defaults without."""
+        """Track the performance with a new tracker and yield the result of every frame; our defaults without ``parameters``."""
         tracker = self.make_tracker(self.actor, parameters or Parameters())
         with one_blas_thread():
             for frame in self.frames:
@@ -134,35 +152,36 @@ def load_session(
     actor: Actor | str | os.PathLike | None = None,
     needs_depth: bool = False,
 ) -> Session:
-    """The performance that the notebooks work on; of a recording, what is tracked of it is printed first.
+    """Load the performance of a notebook. For a recording, a note about its frames is printed first.
 
     Parameters
     ----------
     source : str or path-like
         "synthetic", "synthetic:SEED[:NOISE][:skin=SKIN]...", "lesson" (:mod:`..synthetic.lesson`), a recording or a video.
     neutral_frames : int or sequence of int
-        So many with the face at rest make the rig. Of a recording they are chosen: calm ones, that see the face from as many
-        sides as it shows; a sequence names them (``range(100, 140)``).
+        Number of frames that make the rig, with the face at rest. In a recording, calm frames are chosen that show the face
+        from as many sides as possible. A sequence, such as ``range(100, 140)``, names the frames.
     frames : int, optional
-        Frames of performance: by default 100, of the lesson 300; 24 where :func:`fast`. They follow the neutral ones; a short
-        take is tracked as a whole.
+        Number of frames of performance, by default 100, or 300 for the lesson, or 24 if :func:`fast`. They follow the neutral
+        frames. A short take is tracked as a whole.
     first : int
-        The first frame of a recording that counts.
+        Number of the first frame of a recording to use.
     cache : path-like, optional
         Folder for synthetic performances; the user's cache folder by default.
     actor : Actor or path-like, optional
-        A head that is known, or its file, such as the live notebook saves: nothing is captured.
+        A known head or its file, for example from the live notebook. Nothing is captured then.
     needs_depth : bool
-        Refuse a video.
+        Whether to refuse a video.
 
     Returns
     -------
     Session
+        The performance.
 
     Raises
     ------
     AdaptiveFaceError
-        Or one of its kinds: a source or an actor that cannot be used.
+        The source or the actor cannot be used.
     """
     source, known = os.fspath(source), actor if actor is None or isinstance(actor, Actor) else Actor.load(actor)
     count = frames or (24 if fast() else LESSON_FRAMES if source == LESSON else 100)
@@ -191,12 +210,12 @@ def _recorded(
     only = dict(colour_only=known.colour_only, guessed_camera=known.guessed_camera, has_features=not known.colour_only)
     session = Session(opened.name, camera, take.neutral, take.frames, fps=known.fps, **only)
     if session.colour_only and actor is None:
-        _ = session.actor  # the frames' focal length comes with it
+        _ = session.actor  # this also finds the frames' focal length
     return session
 
 
 def _another(session: Session, actor: Actor) -> str:
-    """A note for a head that is known not to be the performer's."""
+    """A note about a head that is not the performer's; "" if nothing is known about that."""
     truth = session.truth
     if truth is None or truth.neutral.shape != actor.neutral.shape:
         return ""
@@ -211,7 +230,7 @@ def _another(session: Session, actor: Actor) -> str:
 
 
 def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None) -> Session:
-    """Render (or load) one performance of ``count`` frames, half of them the first time, half the repeat."""
+    """Render or load a performance of ``count`` frames, whose second half repeats the first one."""
     if cache is None:
         return _session(source, _render(source, neutral_frames, count), neutral_frames, None)
     asset = Path(__file__).resolve().parents[1] / "assets" / "face_model.npz"
@@ -234,7 +253,7 @@ def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None)
 
 
 def _cached(path: Path, load: Callable[[Path], T]) -> T | None:
-    """What ``load`` makes of a file in the cache; None where there is none, or it is damaged: then it is removed."""
+    """Load a file of the cache with ``load``, or return None if there is none. A damaged file is removed."""
     if not path.exists():
         return None
     try:
@@ -281,7 +300,7 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
         depth=np.stack(rows["depth"]),
         colour=np.stack(rows["colour"]),
         confidence=np.stack(rows["confidence"]),
-        # Checked files hold no NaN: hidden features have confidence 0 and any position.
+        # Checked files contain no NaN. Hidden features have confidence 0 and any position.
         pixels=np.nan_to_num(np.stack(rows["pixels"]), nan=-1.0),
         intrinsics=np.array([c.fx, c.fy, c.cx, c.cy]),
         depth_unit=np.array(unit),
@@ -303,7 +322,7 @@ def _performance(source: str, neutral_frames: int, count: int):
         return sensor, range(min(neutral_frames + count, len(sensor)))
     seed, noise, look = parse_performer(source.partition(":")[2])
     half = max(count // 2, 1)
-    # A window of a script three times as long: expressions at a natural speed, where the most happens.
+    # The liveliest window of a script that is three times as long, so that expressions have a natural speed.
     sensor = SyntheticSensor(7 if seed is None else seed, noise or "structured-light", neutral_frames, 3 * half, 2, look=look)
     first = neutral_frames + liveliest_window(sensor.script, half)
     return sensor, [*range(neutral_frames), *range(first, first + half), *range(first + 3 * half, first + 4 * half)]
@@ -317,7 +336,7 @@ def liveliest_window(script: np.ndarray, length: int) -> int:
 
 
 class StoredFrames(Sequence[RgbdFrame]):
-    """Frames whose depth stays in the sensor's whole numbers, half the memory, until one is asked for."""
+    """Frames whose depth stays in the sensor's integers until a frame is read, which halves the memory."""
 
     def __init__(self, data: dict, camera: Camera, numbers: range | None = None) -> None:
         self._data, self._camera = data, camera
@@ -336,7 +355,7 @@ class StoredFrames(Sequence[RgbdFrame]):
         return RgbdFrame(depth, self._camera, colour, i, i / 30.0, features)
 
     def release(self) -> None:
-        """Give back the memory of what was read of the cache's file; it is read again when it is needed."""
+        """Release the memory of the mapped file. Its data are read again when they are needed."""
         for name in _MAPPED:
             release(self._data[name])
 

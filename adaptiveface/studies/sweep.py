@@ -15,7 +15,7 @@ from .session import Session
 
 
 class Table(Protocol):
-    """What a sweep can fill while it runs."""
+    """Can be filled by a sweep while it runs."""
 
     def set(self, row: int, column: int, value: float) -> None:
         """Show one value."""
@@ -67,7 +67,7 @@ def sweep(
     out = np.full((len(row_values), len(column_values)), np.nan)
     cells = list(itertools.product(range(len(row_values)), range(len(column_values))))
     settings = [base.replace(**{row_name: row_values[r], column_name: column_values[c]}) for r, c in cells]
-    _ = session.actor  # captured once, before it is sent anywhere
+    _ = session.actor  # the actor is captured once, before it is sent anywhere
     for (r, c), value in tqdm(_computed(session, cells, settings, measure, client), total=len(cells), desc="sweep", unit="run"):
         out[r, c] = value
         if chart is not None:
@@ -88,5 +88,5 @@ def _measured(measure, session, item):
     return measure(session, item[1])
 
 
-#: A Dask client for :func:`sweep`, as for ``adaptiveface batch``.
+#: Makes a Dask client for :func:`sweep`, as for ``adaptiveface batch``.
 cluster = dask_client
