@@ -32,7 +32,7 @@ def _associate(
     distance: np.ndarray,
     plane: np.ndarray,
 ) -> np.ndarray:
-    """Put the points into the camera frame; point-to-plane distance, normal and weight of each (weight 0: no match)."""
+    """Match points at a pose: their camera-frame places, and distance, normal and weight of each match (weight 0: none)."""
     fx, fy, cx, cy, u0, v0 = intrinsics
     h, w = depth.shape
     weight = np.zeros(len(points))
@@ -54,7 +54,7 @@ def _associate(
         nx, ny, nz = fx * gu, fy * gv, -(measured + du * gu + dv * gv)
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         nx, ny, nz = nx / length, ny / length, nz / length
-        facing = 0.0  # cosine between the surface's normal and the point's own, turned by the pose
+        facing = 0.0  # cosine between the surface's normal and the point's own normal, turned by the pose
         for k in range(3):
             facing += normals[i, k] * (nx * pose[0, k] + ny * pose[1, k] + nz * pose[2, k])
         if facing < min_cosine:
@@ -66,7 +66,7 @@ def _associate(
             continue
         distance[i] = along
         plane[i, 0], plane[i, 1], plane[i, 2] = nx, ny, nz
-        # A grazing surface is measured badly: weigh by the cosine between viewing ray and normal.
+        # Depth is inaccurate on a grazing surface, so the weight is the cosine between viewing ray and normal.
         weight[i] = -(nx * x + ny * y + nz * z) / np.sqrt(x * x + y * y + z * z)
         if weight[i] < min_view:
             weight[i] = 0.0
@@ -101,7 +101,7 @@ class Correspondences:
         return int(np.count_nonzero(self.weights))
 
     def equally_weighted(self) -> Correspondences:
-        """The same matches, all of weight 1."""
+        """The same matches, all with weight 1."""
         return replace(self, weights=(self.weights > 0).astype(float))
 
     @property
@@ -129,11 +129,11 @@ def find_correspondences(
     surface : DepthSurface
         The depth map.
     points, normals : (n, 3)
-        Points, mm, and their unit normals, camera frame, or the frame that ``pose`` takes there.
+        Points, mm, and their unit normals in the camera frame, or in the frame that ``pose`` maps to it.
     max_correspondence_distance : float
         Depth points farther away are dropped, mm.
     pose : (4, 4), optional
-        Takes points and normals to the camera frame, mm.
+        Maps points and normals to the camera frame, mm.
     max_angle : float
         Largest angle between the normals of a match, degrees.
 

@@ -1,4 +1,4 @@
-"""Iterative closest points (Besl & McKay 1992) as a generator of its iterates: one loop for every rigid alignment."""
+"""Run iterative closest points (Besl & McKay 1992), as a generator of iterates, for every rigid alignment."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ Matches = TypeVar("Matches")
 class Iterate(Generic[Matches]):
     """One iterate of :func:`icp`.
 
-    pose (4, 4) head to camera; matches: the correspondences at that pose; starved: whether they were too few for a step.
+    Attributes
+    ----------
+    pose : (4, 4)
+        Head frame to camera frame, mm.
+    matches : Correspondences
+        Found at that pose.
+    starved : bool
+        Whether they are too few for a step.
     """
 
     pose: np.ndarray
@@ -37,13 +44,25 @@ def icp(
 
     Parameters
     ----------
-    pose : (4, 4) start, head to camera, mm.
-    associate : finds the matches at a pose (4, 4).
-    step : makes the next pose (4, 4) from a pose and its matches, and says how far that moves the face, mm.
-    count : number of matches.
-    min_matches : with fewer matches no step is made; the last iterate is ``starved``.
-    iterations : largest number of steps.
-    converged : stop after a step that moves the face by less, mm.
+    pose : (4, 4)
+        The start, head frame to camera frame, mm.
+    associate : callable
+        ``associate(pose)`` finds the matches at a pose.
+    step : callable
+        ``step(pose, matches)`` makes the next pose and says how far it moves the face, mm.
+    count : callable
+        ``count(matches)`` is their number.
+    min_matches : int
+        With fewer matches no step is made, and the last iterate is ``starved``.
+    iterations : int
+        Largest number of steps.
+    converged : float
+        ICP stops after a step that moves the face by less, mm.
+
+    Yields
+    ------
+    Iterate
+        The start, and the pose after every step.
     """
     for _ in range(iterations):
         matches = associate(pose)
@@ -58,5 +77,5 @@ def icp(
 
 
 def last(iterates: Iterator[Iterate[Matches]]) -> Iterate[Matches]:
-    """The iterate at which ICP stops."""
+    """Return the iterate at which ICP stops."""
     return deque(iterates, maxlen=1).pop()

@@ -1,4 +1,4 @@
-"""The point-to-plane step of rigid ICP (Chen & Medioni 1991), for every alignment of a shape with a depth map."""
+"""Make the point-to-plane step of rigid ICP (Chen & Medioni 1991), for every alignment of a shape with a depth map."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def motion_of(update: np.ndarray) -> float:
 
 
 def rigid_jacobian(points: np.ndarray, normals: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """(n, 6) derivative of n_i^T v_i by a rotation vector about ``centre`` (first three) and a translation, camera frame."""
+    """Derivatives (n, 6) of n_i^T v_i by a rotation vector about ``centre`` and by a translation, camera frame."""
     return np.hstack([np.cross(points - centre, normals), normals])
 
 
@@ -35,7 +35,7 @@ def apply_rigid_update(pose: np.ndarray, update: np.ndarray, centre: np.ndarray)
 def _point_to_plane_equations(
     points: np.ndarray, normals: np.ndarray, distances: np.ndarray, weights: np.ndarray, centre: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of :func:`rigid_jacobian` without storing it (tested equal to the NumPy form)."""
+    """Normal equations of :func:`rigid_jacobian`, without storing it. A test compares them with the NumPy form."""
     h, g, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     for i in range(len(points)):
         if weights[i] == 0.0:
@@ -70,9 +70,9 @@ def point_to_plane_step(
     correspondences : Correspondences
         Distances, normals n_i and weights of the matches.
     centre : (3,)
-        The point that the rotation turns about, mm.
+        Centre of the rotation, mm.
     vertex_weights : (n,)
-        How much each vertex counts.
+        Weight of each vertex.
 
     Returns
     -------

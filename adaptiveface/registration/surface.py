@@ -1,4 +1,4 @@
-"""The depth map as a surface: crop, noise-reduced depth and its gradient (section 4.1).
+"""Turn a depth map into a surface: crop it, reduce its noise, and compute its gradient (section 4.1).
 
 The surface point of a pixel is z K^-1 (u, v, 1) with the smoothed depth z(u, v).
 The cross product of its two derivatives is the normal.
@@ -46,23 +46,23 @@ class DepthSurface:
 
 
 def crop_window(camera: Camera, pixels: np.ndarray, margin: float, fixed: int = 0) -> tuple[int, int, int, int]:
-    """The window around the face.
+    """Choose the window around the face.
 
     Parameters
     ----------
     camera : Camera
         The window stays within its picture.
     pixels : (n, 2)
-        Where the face is expected.
+        Expected places of the face's points.
     margin : float
         Border around the pixels' box, pixels.
     fixed : int
-        Side of a square about the box's centre, pixels, in its place; 0 for none.
+        Side of a square around the box's centre that replaces the box, pixels; 0 for none.
 
     Returns
     -------
     u0, v0, u1, v1 : int
-        The first pixel, and the first beyond.
+        The first pixel, and the first pixel beyond the window.
     """
     axes = np.ascontiguousarray(pixels.T)
     low, high = axes.min(axis=1), axes.max(axis=1)
@@ -88,7 +88,7 @@ def depth_surface(
     Parameters
     ----------
     depth : (H, W)
-        mm; 0 where nothing was measured.
+        Depth, mm; 0 where nothing was measured.
     camera : Camera
         Its calibration.
     window : (u0, v0, u1, v1)
@@ -120,16 +120,29 @@ def depth_surface(
     coarse, support = masked_mean(parameters.normal_smoothing)
     gradient_u = cv2.Sobel(coarse, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     gradient_v = cv2.Sobel(coarse, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
-    # Half of the support is missing on a straight rim: one and a half smoothing lengths inside it, 7 % are.
+    # On a straight rim, half of the support is missing; one and a half smoothing lengths inside it, 7 % are missing.
     valid = clean * (support > 0.8)
     return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_cosine)
 
 
 def occluded_share(surface: DepthSurface, points: np.ndarray, normals: np.ndarray, margin: float) -> float:
-    """Share of the measured points (n, 3) that something more than ``margin`` mm in front of them hides: a hand, hair.
+    """Measure how much of the face something else hides, such as a hand or hair.
 
-    ``points`` and unit ``normals`` (n, 3) in the camera frame; what does not face the camera is not asked, since the
-    face hides that itself. 0 where nothing is measured.
+    Points that do not face the camera are ignored, because the face itself hides them.
+
+    Parameters
+    ----------
+    surface : DepthSurface
+        The depth map.
+    points, normals : (n, 3)
+        Points, mm, and their unit normals, camera frame.
+    margin : float
+        The depth map hides a point if it lies at least this far in front of it, mm.
+
+    Returns
+    -------
+    float
+        Share of the measured points that are hidden; 0 if none is measured.
     """
     camera = surface.camera
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, float(surface.origin[0]), float(surface.origin[1]))
@@ -146,7 +159,7 @@ def _count_hidden(
     normals: np.ndarray,
     margin: float,
 ) -> tuple[int, int]:
-    """How many facing points are measured, and how many of those lie more than ``margin`` mm behind the depth map."""
+    """Count the measured points that face the camera, and those of them that lie over ``margin`` mm behind the depth map."""
     fx, fy, cx, cy, u0, v0 = intrinsics
     height, width = depth.shape
     measured, hidden = 0, 0

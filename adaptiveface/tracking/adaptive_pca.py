@@ -1,9 +1,9 @@
-"""The adaptive PCA model (sections 4.3 and 5): anchor shapes, corrective shapes, incremental EM-PCA (Roweis 1998).
+"""Adapt a PCA model while tracking (sections 4.3 and 5): anchors, correctives, incremental EM-PCA (Roweis 1998).
 
 Vectors are displacements of the n frontal vertices from the neutral, flattened to 3n, in millimetres.
-Outside the frontal region nothing is learned: anchors are combinations of the blendshapes and continue there as the same
-combinations, and a corrective (a displacement minus its anchor part) continues as minus that anchor part, so that the
-projected mesh has no seam.
+Nothing is learned outside the frontal region. Anchors are combinations of the blendshapes and continue there as the same
+combinations. A corrective, which is a displacement minus its anchor part, continues there as minus that anchor part. Therefore
+the projected mesh has no seam.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..parameters import AdaptivePcaParameters
 from .sample_buffer import redundant_sample
 from .types import SampleState
 
-#: The paper's thresholds hold for centimetres and this many vertices.
+#: Number of vertices for which the paper's thresholds hold, in centimetres.
 PAPER_VERTICES, MM_PER_CM = 3480, 10.0
 
 #: A corrective with less than this share of the samples' energy is lost in the buffer's single precision.
@@ -40,7 +40,7 @@ def anchor_shapes(blendshapes: np.ndarray, tolerance: float = 1e-6) -> tuple[np.
 
 
 def orthonormalise(basis: np.ndarray) -> np.ndarray:
-    """(3n, k) Q of the factorisation basis = Q R, through a Cholesky factor of the Gram matrix: cheap for tall matrices.
+    """Q (3n, k) of the factorisation basis = Q R, from a Cholesky factor of the Gram matrix, which is fast for tall matrices.
 
     Its error grows with the squared condition number, so ill-conditioned bases get a second pass (CholeskyQR2, Yamamoto
     et al. 2015). Q is stored shape by shape (Fortran order).
@@ -65,9 +65,9 @@ def m_step(samples: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
 
 
 def em_in_sample_space(gram: np.ndarray, coefficients: np.ndarray, steps: int) -> np.ndarray:
-    """``steps`` EM iterations with M = S Z kept as Z, so that they cost nothing in 3n.
+    """Run ``steps`` EM iterations with M = S Z stored as Z, so that no step has a cost in 3n.
 
-    gram (s, s) = S^T S; coefficients (k, s): the first E-step's Y for the current orthonormal M. Returns Z (s, k).
+    ``gram`` (s, s) is S^T S, and ``coefficients`` (k, s) are the first E-step's Y for the current orthonormal Z is (s, k).
     With M = S Z, the E-step is Y = (Z^T G Z)^-1 Z^T G and the M-step Z = Y^T (Y Y^T)^-1: the same iterates as
     :func:`e_step` and :func:`m_step` (a test compares them).
     """
@@ -82,7 +82,7 @@ def em_in_sample_space(gram: np.ndarray, coefficients: np.ndarray, steps: int) -
 
 @compiled
 def _lengths(vectors: np.ndarray) -> np.ndarray:
-    """(n,) lengths of ``vectors`` (n, 3), in one pass."""
+    """Lengths (n,) of ``vectors`` (n, 3), in one pass."""
     out = np.empty(len(vectors))
     for i in range(len(vectors)):
         out[i] = np.sqrt(vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2)
@@ -95,10 +95,18 @@ EmIterations = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
 @dataclass(frozen=True)
 class Parts:
-    """What a displacement d (3n,) is made of: ``anchor`` + ``corrective`` + what the model does not know.
+    """A displacement d (3n,) as the sum of ``anchor``, ``corrective`` and a rest that the model does not know.
 
-    in_anchors (a,) = M_A^T d and anchor (3n,) = M_A M_A^T d; residual (3n,) = d - anchor, the sample s of section 5;
-    products (count,) = S^T s; in_correctives (k,) = M_K^T d and corrective (3n,) = M_K M_K^T d.
+    Attributes
+    ----------
+    in_anchors, anchor : (a,), (3n,)
+        M_A^T d and M_A M_A^T d.
+    residual : (3n,)
+        d - anchor, the sample s of section 5.
+    products : (count,)
+        S^T s.
+    in_correctives, corrective : (k,), (3n,)
+        M_K^T d and M_K M_K^T d.
     """
 
     in_anchors: np.ndarray
@@ -109,7 +117,7 @@ class Parts:
     corrective: np.ndarray
 
     def distances(self) -> tuple[float, float]:
-        """Figure 11: mean vertex distance (mm) of d from the anchor and from the adaptive space, as they were when it came."""
+        """Mean distance of d's vertices from the anchor space and from the adaptive space before learning (figure 11), mm."""
         rest = self.residual - self.corrective
         return float(_lengths(self.residual.reshape(-1, 3)).mean()), float(_lengths(rest.reshape(-1, 3)).mean())
 
@@ -117,12 +125,21 @@ class Parts:
 class AdaptiveModel:
     """M = [M_A, M_K]: projection (section 4.3) and learning (section 5).
 
-    The corrective shapes are kept as combinations of the samples in the buffer, M_K = S Z: an EM step then is made of small
-    matrices, and a frame reads the buffer twice, for S^T s and for the combination of samples that M_K M_K^T s is.
+    The corrective shapes are stored as combinations of the samples in the buffer, M_K = S Z. An EM step then only uses small
+    matrices. A frame reads the buffer twice: for S^T s, and for M_K M_K^T s, which is a combination of the samples.
 
-    Learned state: ``mix`` (S, k <= K), Z with orthonormal S Z; ``count`` samples in the buffer, of ``seen`` valid ones in
-    all; ``ages`` (S,), the numbers of those in the buffer among all; ``updates``.
-    ``em``: the EM iterations of one update, as :func:`em_in_sample_space` makes them.
+    Attributes
+    ----------
+    mix : (S, k <= K)
+        Z, for which S Z is orthonormal.
+    count, seen : int
+        Number of samples in the buffer, and of all valid samples so far.
+    ages : (S,)
+        Numbers of the buffer's samples among all.
+    updates : int
+        Number of updates so far.
+    em : callable
+        Runs the EM iterations of one update, as :func:`em_in_sample_space` does.
     """
 
     def __init__(
@@ -135,7 +152,7 @@ class AdaptiveModel:
         self.parameters, self._em = parameters, em
         self.frontal = actor.frontal
         self.anchors, self._anchor_mix = anchor_shapes(blendshapes[:, self.frontal].reshape(len(blendshapes), -1))
-        # In single precision: half the memory to stream, 1e-6 of a displacement.
+        # Single precision halves the memory to stream, with errors of 1e-6 of a displacement.
         self._anchor_rows = np.ascontiguousarray(self.anchors.T, np.float32)
         self._outside = blendshapes[:, ~self.frontal].reshape(len(blendshapes), -1).astype(np.float32)
         n = int(self.frontal.sum())
@@ -152,7 +169,7 @@ class AdaptiveModel:
         self.seen = 0
         self.mix = np.zeros((s, 0))
         self._correctives: np.ndarray | None = None
-        # Samples in float32: half the memory traffic of the two passes over S, far below the sensor's noise.
+        # float32 halves the memory traffic of the two passes over S, with errors far below the sensor's noise.
         self._samples = np.zeros((s, self._size), np.float32)
         self._gram = np.zeros((s, s))
         self.ages = np.zeros(s, int)
@@ -162,14 +179,14 @@ class AdaptiveModel:
         self._shared = False
 
     def copy(self) -> Self:
-        """A model that goes its own way; the samples are copied when one of the two learns."""
+        """Return an independent model. The samples are copied when one of the two learns."""
         out = copy.copy(self)
         self._shared = out._shared = True
         return out
 
     @property
     def correctives(self) -> np.ndarray:
-        """M_K (3n, k) orthonormal and orthogonal to ``anchors`` (3n, a), computed when asked for."""
+        """M_K (3n, k), orthonormal and orthogonal to ``anchors`` (3n, a), computed on request."""
         if self._correctives is None:
             self._correctives = self._combined()
         return self._correctives
@@ -178,14 +195,14 @@ class AdaptiveModel:
         if self.mix.shape[1] == 0:
             return np.zeros((self._size, 0))
         shapes = (self.mix[: self.count].T.astype(np.float32) @ self._samples[: self.count]).astype(float)
-        # Samples are orthogonal to the anchors up to their float32 storage; make it exact. The correction is 1e-7 of
-        # the correctives, so that its own single precision does not show.
+        # Samples are orthogonal to the anchors up to the rounding to float32. This makes it exact. The correction is 1e-7 of
+        # the correctives, so that its own rounding is negligible.
         shapes -= (shapes @ self.anchors).astype(np.float32) @ self._anchor_rows
         return orthonormalise(shapes.T)
 
     # ---- projection ------------------------------------------------------------------------------------------------
     def parts(self, displacement: np.ndarray) -> Parts:
-        """Take v2 - b0 (3n,) or, equally, v2 - v1 apart: they differ by v1 - b0, which the anchors span."""
+        """Split v2 - b0 (3n,) or, equally, v2 - v1 into parts. The two differ by v1 - b0, which the anchors span."""
         samples, mix = self._samples[: self.count], self.mix[: self.count]
         in_anchors = self._anchor_rows @ displacement.astype(np.float32)
         anchor = in_anchors @ self._anchor_rows
@@ -196,30 +213,30 @@ class AdaptiveModel:
         return Parts(in_anchors.astype(float), anchor, residual, products, in_correctives, corrective)
 
     def project(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """M M^T d: of the frontal vertices (3n,), and of the others (3 (N - n),), mm.
+        """Project the displacement: M M^T d of the frontal vertices (3n,) and of the others (3 (N - n),), mm.
 
-        v3 - b0 = M M^T (v2 - b0) is v3 - v1 = M M^T (v2 - v1), as the anchors span v1 - b0. Outside the frontal region
-        v2 - v1 is zero at the border, and so is what is added there.
+        v3 - b0 = M M^T (v2 - b0) equals v3 - v1 = M M^T (v2 - v1), because the anchors span v1 - b0. At the border of the
+        frontal region v2 - v1 is zero, and so is the continuation outside of it.
         """
         continued = parts.in_anchors - self._corrective_anchors @ parts.in_correctives
         return parts.anchor + parts.corrective, (continued @ self._anchor_mix).astype(np.float32) @ self._outside
 
     def energy(self, sample: np.ndarray) -> float:
-        """||s||^2 of a sample (3n,) in mm, in the units of valid_min and valid_max: cm^2 over a mesh of the paper's size."""
+        """||s||^2 of a sample (3n,) mm in the units of valid_min and valid_max: cm^2 over a mesh of the paper's size."""
         return float(sample @ sample) / self._unit
 
     # ---- learning --------------------------------------------------------------------------------------------------
     def classify(self, parts: Parts) -> SampleState:
-        """Validity of a sample by its energy."""
+        """Tell by its energy whether a sample is valid."""
         energy = self.energy(parts.residual)
         if not np.isfinite(energy) or energy >= self.parameters.valid_max:
             return SampleState.OUTLIER
         return SampleState.LEARNED if energy > self.parameters.valid_min else SampleState.IN_ANCHOR_SPACE
 
     def learn(self, parts: Parts) -> SampleState:
-        """One incremental update from a displacement, taken apart just now; only valid samples change the model.
+        """Update the model from the parts of a displacement. Only valid samples change it.
 
-        For the continuation outside the frontal region take the ``parts`` of v2 - v1: it vanishes at the border, so that its
+        Pass the ``parts`` of v2 - v1, because that displacement vanishes at the border of the frontal region, so that its
         residual there is minus its anchor part.
         """
         state = self.classify(parts)
@@ -231,16 +248,16 @@ class AdaptiveModel:
         return state
 
     def samples(self) -> np.ndarray:
-        """(count, 3n) the displacements in the buffer, the oldest first."""
+        """The displacements (count, 3n) in the buffer, the oldest first, mm."""
         order = np.argsort(self.ages[: self.count])
         return self._samples[order] + self._sample_anchors[order].astype(np.float32) @ self._anchor_rows
 
     def buffer(self) -> np.ndarray:
-        """(count, 3n) S^T, the samples in the buffer without their part in the anchor space, in no order; not a copy."""
+        """S^T (count, 3n): the samples in the buffer without their anchor parts, in no order. This is not a copy."""
         return self._samples[: self.count]
 
     def learn_all(self, displacements: np.ndarray) -> None:
-        """Start over from displacements (m, 3n): the correctives to which EM on the valid ones that are kept converges."""
+        """Start over with displacements (m, 3n) mm. EM runs on the valid ones that are kept until it converges."""
         self.reset()
         if not self.parameters.K:
             return
@@ -251,12 +268,12 @@ class AdaptiveModel:
         if self.count == 0 or not self._ready():
             return
         variances, directions = np.linalg.eigh(self._gram[: self.count, : self.count])
-        # As many correctives as there are independent samples; the buffer's single precision hides the others.
+        # There are as many correctives as independent samples. Others would be lost in the buffer's single precision.
         keep = np.flatnonzero(variances > 1e-4 * variances[-1])[::-1][: self.parameters.K]
         self._take(directions[:, keep])
 
     def _store(self, parts: Parts) -> None:
-        """Put a sample into the buffer (one leaves where that is full) and keep S^T S and M_K^T S up to date."""
+        """Put a sample into the buffer, drop another one if it is full, and update S^T S and M_K^T S."""
         if self._shared:
             self._samples, self._gram = self._samples.copy(), self._gram.copy()
             self._coordinates, self._sample_anchors = self._coordinates.copy(), self._sample_anchors.copy()
@@ -273,7 +290,7 @@ class AdaptiveModel:
         self._newest = row
 
     def _free_row(self, parts: Parts) -> int:
-        """Where a new sample goes: the next free row, else that of the oldest sample or of the most redundant one."""
+        """Row for a new sample: the next free one, or else that of the oldest or of the most redundant sample."""
         if self.count < self.parameters.S:
             return self.count
         if self.parameters.buffer == "newest":
@@ -282,40 +299,40 @@ class AdaptiveModel:
         return int(redundant_sample(self._gram, self.ages, parts.products, square))
 
     def _grow(self) -> None:
-        """Until K shapes exist, make the newest sample's own direction one of them: (s - M_K M_K^T s) / length.
+        """Until K shapes exist, add the newest sample's own direction (s - M_K M_K^T s) / length as a shape.
 
-        S samples have no more than S directions: with more shapes than that EM could never run.
+        S samples have at most S directions. With more shapes, EM could not run.
         """
         if self.mix.shape[1] >= min(self.parameters.K, self.parameters.S):
             return
         row = self._newest
         known, square = self._coordinates[row], self._gram[row, row]
         length = np.sqrt(max(square - known @ known, 0.0))
-        # A near-duplicate of what is there has no direction of its own: keep the sample, not the rank deficiency.
+        # A near-duplicate has no direction of its own. The sample is kept, but no shape that would make M rank-deficient.
         if length < 1e-2 * np.sqrt(square):
             return
         in_own = (self._gram[row] - self._coordinates @ known) / length
         self._coordinates = np.column_stack([self._coordinates, in_own])
-        # Of a sample that has just left, M_K^T S still knows and Z does not: EM follows then, and makes Z anew.
+        # A sample that has just left is still in M_K^T S, but not in Z. EM then runs next and makes Z again.
         own = (np.eye(self.parameters.S)[row] - self.mix @ known) / length
         self._keep(np.column_stack([self.mix, own]))
 
     def _ready(self) -> bool:
-        """The paper updates once the buffer is full; the default from the first sample on."""
+        """Whether to update now. The paper waits until the buffer is full; the default begins with the first sample."""
         return self.parameters.startup == "growing" or self.count == self.parameters.S
 
     def _update(self) -> None:
-        """EM on the buffer, then QR: the correctives become the leading principal directions of the samples."""
+        """Run EM on the buffer, then QR, so that the correctives become the leading principal directions of the samples."""
         gram, coordinates = self._gram[: self.count, : self.count], self._coordinates[: self.count].T
         reached, directions = np.linalg.eigh(coordinates @ coordinates.T)
         lost = reached <= LEAST_SHARE * np.trace(gram)
-        if lost.any():  # directions that no sample has any more, and that would make Y Y^T singular
+        if lost.any():  # no sample has these directions any more, and they would make Y Y^T singular
             coordinates = directions[:, ~lost].T @ coordinates
         self._take(self._em(gram, coordinates, self.parameters.em_steps))
         self.updates += 1
 
     def _take(self, mix: np.ndarray) -> None:
-        """The correctives become Q of the factorisation S ``mix`` = Q R, mix (count, k), through S^T S."""
+        """Make the correctives Q of the factorisation S ``mix`` = Q R, with ``mix`` (count, k), from S^T S."""
         products = self._gram[: self.count, : self.count] @ mix
         inverse = np.linalg.inv(np.linalg.cholesky(mix.T @ products)).T
         whole, coordinates = np.zeros((2, self.parameters.S, mix.shape[1]))

@@ -1,4 +1,4 @@
-"""What the trackers with and without depth have in common: the state between frames, and the stages that both use."""
+"""Hold what the trackers with and without depth share: the state between frames, and the stages that both use."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from .types import STAGE_NAMES, SampleState, TrackedFrame
 
 
 class Tracker(ABC):
-    """Tracks one actor. ``track(frame)`` for every frame in order; ``reset()`` starts over, ``forget()`` drops the face only.
+    """Tracks one actor. Call ``track(frame)`` for every frame in order.
 
     Attributes
     ----------
     given, actor : Actor
-        The actor that the tracker was made for; the same with the features that the tracker works with.
+        The actor for which the tracker was made, and the same actor with the features that the tracker uses.
     stages : Stages
         How the stages are made. The stages themselves are attributes of the same names.
     state : TrackerState
-        Where the last frame left the face.
+        The face after the last frame.
     model : AdaptiveModel
-        What was learned so far (section 5).
+        What has been learned (section 5).
     """
 
     def __init__(self, actor: Actor, parameters: Parameters | None = None, stages: Stages | None = None) -> None:
@@ -51,27 +51,27 @@ class Tracker(ABC):
         self.model = self._new_model()
         self.reset()
 
-    #: What is learned about the expressions' meshes; None without.
+    #: What is learned about the meshes of the expressions; None if they are not learned.
     personal: PersonalBlendshapes | None = None
 
     # ---- the state between frames ----------------------------------------------------------------------------------
     @property
     def pose(self) -> np.ndarray | None:
-        """(4, 4) the head's last pose, head to camera, mm; None where it is not known."""
+        """The last pose (4, 4), head frame to camera frame, mm; None if it is not known."""
         return self.state.pose
 
     @property
     def detect_every(self) -> int:
-        """The detector need not look at more than every so-many-th frame from now on: 1 where nothing else finds features."""
+        """Interval of frames at which the detector must look from now on; 1 if nothing else finds features."""
         return 1
 
     @property
     def expressions(self) -> np.ndarray | None:
-        """(A, N, 3) the expressions as they are known now, mm; None while they are those of the actor."""
+        """The current expressions (A, N, 3), mm; None while they are the actor's."""
         return None if self.blendshapes is self.transferred else self.blendshapes.basis
 
     def wear_personal(self) -> None:
-        """Fit with the expressions as they are known now; the anchors stay those of the transferred ones."""
+        """Fit with the current expressions. The anchors remain those of the transferred expressions."""
         self.blendshapes = self.transferred
         if self.personal is not None and self.personal.updates:
             basis = self.transferred.basis.astype(np.float32)
@@ -79,13 +79,13 @@ class Tracker(ABC):
             self.blendshapes = self.transferred.with_basis(basis)
 
     def personal_actor(self) -> Actor:
-        """The actor with the expressions as they are known now, to be saved; another tracker goes on from there."""
+        """Return the actor with the current expressions. When it is saved, another tracker can continue with them."""
         blendshapes = self.given.blendshapes.copy()
         blendshapes[: len(self.blendshapes.basis)] = self.blendshapes.basis
         return replace(self.given, blendshapes=blendshapes)
 
     def forget_learned(self) -> None:
-        """Forget everything learned, but not where the head is and what the face does."""
+        """Forget everything learned, but keep the pose and the expression."""
         self.model.reset()
 
     def reset(self) -> None:
@@ -94,7 +94,7 @@ class Tracker(ABC):
         self.forget()
 
     def forget(self) -> None:
-        """Forget where the head was and what the face did; the next frame is searched by its 2D features."""
+        """Forget the pose and the expression. The head is then found by the 2D features of the next frame."""
         neutral = self.actor.neutral
         self.state = TrackerState(
             pose=None,
@@ -105,25 +105,32 @@ class Tracker(ABC):
         )
 
     def copy(self) -> Self:
-        """The tracker as it is between two frames, without copying arrays: tracking on replaces them."""
+        """Copy the tracker between two frames. Arrays are not copied, because tracking replaces them."""
         out = copy.copy(self)
         out.model = self.model.copy()
         return out
 
     def with_state(self, state: TrackerState) -> Self:
-        """A copy that goes on from ``state``, of a tracker with the same number of expressions. Nothing is factorised."""
+        """Return a copy that continues from ``state``, which has the same number of expressions. Nothing is factorised."""
         out = self.copy()
         out.state = state
         return out
 
     def with_parameters(self, parameters: Parameters, relearn: bool = True) -> Self:
-        """A tracker with other ``parameters`` that goes on from this one; only the stages that changed are made anew.
+        """Return a tracker that continues from this one with other parameters. Only the stages that changed are made again.
 
         Parameters
         ----------
-        relearn
-            Where the number of expressions, of correctives or of samples changes, the model learns anew from the samples
-            in its buffer. False leaves it as it is, except for a changed number of expressions, which starts it over.
+        parameters : Parameters
+            Of the new tracker.
+        relearn : bool
+            Whether the model learns again from the samples in its buffer if the number of expressions, of correctives or of
+            samples changes. False leaves the model unchanged, but another number of expressions starts it over.
+
+        Returns
+        -------
+        Tracker
+            Of the same kind.
         """
         old, out = self.parameters, self.copy()
         out.parameters = parameters
@@ -142,7 +149,7 @@ class Tracker(ABC):
         return out
 
     def _with_my_expressions(self, state: TrackerState) -> TrackerState:
-        """``state`` of a tracker with another number of expressions: those that this tracker lacks are dropped."""
+        """Adapt the ``state`` of a tracker with another number of expressions, and drop those that this tracker lacks."""
         x = np.zeros(len(self.blendshapes.basis))
         count = min(len(x), len(state.coefficients))
         x[:count] = state.coefficients[:count]
@@ -150,7 +157,7 @@ class Tracker(ABC):
 
     # ---- the stages ------------------------------------------------------------------------------------------------
     def _make_stages(self, old: Parameters | None) -> None:
-        """Make the stages whose parameters differ from ``old``; all of them where that is None."""
+        """Make the stages whose parameters differ from ``old``, or all stages if ``old`` is None."""
         p, make = self.parameters, self.stages
         if differ(old, p, "blendshapes"):
             self.blendshapes = self.transferred = make.blendshapes(self.actor, p.blendshapes)
@@ -166,10 +173,10 @@ class Tracker(ABC):
 
     @abstractmethod
     def track(self, frame: RgbdFrame) -> TrackedFrame:
-        """One frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
+        """Track one frame. A bad frame raises nothing: ``tracked`` is then False, and ``reason`` says why."""
 
     def _filtered(self, measured: np.ndarray) -> np.ndarray:
-        """The coefficients (A,) of this frame: filtered over time, within their bounds (section 4.2)."""
+        """Filter the coefficients (A,) of this frame over time, and keep them within their bounds (section 4.2)."""
         limits = self.parameters.blendshapes
         filtered = self.kalman.step(self.state.filter, measured)
         self.state = replace(self.state, filter=filtered)
@@ -177,7 +184,7 @@ class Tracker(ABC):
         return coefficients
 
     def _deform_to_features(self, frame: RgbdFrame, pose: np.ndarray, mesh: np.ndarray) -> np.ndarray:
-        """``mesh`` (N, 3) deformed to the features alone (section 4.4), head frame, mm."""
+        """Deform ``mesh`` (N, 3) to the features alone (section 4.4), head frame, mm."""
         p = self.parameters.laplacian
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, mesh, p.final_feature_weight, hold_depth=True)
@@ -195,12 +202,12 @@ class Tracker(ABC):
         return feature_term(rows, points, pose, frame.camera.fx, weight, hold_depth)
 
     def _printed_term(self, frame: RgbdFrame, pose: np.ndarray, mesh: np.ndarray, rise: np.ndarray | float) -> FeatureTerm:
-        """The features' rows of equations (4) and (5); ``rise`` (40,) mm: by how much their depth is to change."""
+        """Rows of the features in equations (4) and (5). ``rise`` (40,) is the wanted change of their depth, mm."""
         points = np.einsum("fk,fkd->fd", self.actor.feature_weights, mesh[self.actor.feature_triangles])
         return printed_term(frame.features, frame.camera, pose, points, rise, self.parameters.laplacian)
 
     def _project(self, v1: np.ndarray, v2: np.ndarray) -> tuple[np.ndarray, Parts]:
-        """v3 (N, 3): v2 projected on the adaptive space (section 4.3, last equation); and what v2 - v1 is made of."""
+        """Project v2 on the adaptive space (section 4.3, last equation); returns v3 (N, 3) and the parts of v2 - v1."""
         parts = self.model.parts(self.region.difference(v2, v1))
         return self.region.moved(v1, *self.model.project(parts)), parts
 
@@ -216,13 +223,16 @@ class Tracker(ABC):
         state: SampleState = SampleState.IN_ANCHOR_SPACE,
         residual: float = float("nan"),
     ) -> TrackedFrame:
-        """The result of a tracked ``frame``: v1 to v4, the coefficients of v1 and of v4, :meth:`Parts.distances`, times."""
+        """Make the result of a tracked frame.
+
+        ``meshes`` are v1 to v4, ``coefficients`` those of v1 and of v4, and ``distances`` those of :meth:`Parts.distances`.
+        """
         learned = state, self.model.updates
         own = frame.index, frame.timestamp, True, pose, *meshes, *coefficients
         return TrackedFrame(*own, *learned, residual, *distances, ms, held_out=held_out)
 
     def untracked(self, frame: RgbdFrame, reason: str, ms: dict[str, float] | None = None) -> TrackedFrame:
-        """The result of a ``frame`` in which there is no face, or none that can be tracked: the neutral, unmoved."""
+        """Make the result of a frame without a face that can be tracked: the neutral without motion."""
         neutral, x = self.actor.neutral, self.state.coefficients
         return TrackedFrame(
             frame.index,
@@ -243,7 +253,7 @@ class Tracker(ABC):
 
 
 def differ(old: Parameters | None, new: Parameters, *names: str) -> bool:
-    """Whether any of the stages or parameters ``names`` ("kalman", "laplacian.w2") differs; True without ``old``."""
+    """Whether any of the stages or parameters ``names`` ("kalman", "laplacian.w2") differs; True if ``old`` is None."""
     values: Callable[[Parameters], object] = attrgetter(*names)
     return old is None or values(old) != values(new)
 
@@ -253,7 +263,7 @@ _clock: Callable[[], float] = time.perf_counter
 
 @contextmanager
 def stage_clock(clock: Callable[[], float]) -> Iterator[None]:
-    """Context in which the stages' times are taken from another clock, s: the processor's, where others use it too."""
+    """Context in which another clock measures the stages, s: that of the processor, if other programs use it, too."""
     global _clock
     before, _clock = _clock, clock
     try:

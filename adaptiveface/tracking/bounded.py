@@ -1,4 +1,4 @@
-"""Bounded linear least squares on small normal equations (section 4.2; Sugimoto, Fukushima & Ibaraki 1995)."""
+"""Solve bounded linear least squares on small normal equations (section 4.2; Sugimoto, Fukushima & Ibaraki 1995)."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def bounded_least_squares(
     start : (A,), optional
         A first guess; zeros without.
     relaxation, sweeps, tolerance : float, int, float
-        Over-relaxation, most sweeps over the coefficients, and the change below which they end.
+        Over-relaxation, largest number of sweeps over the coefficients, and the change below which they end.
 
     Returns
     -------
@@ -100,10 +100,10 @@ def bounded_least_squares(
 
     Notes
     -----
-    Gauss-Seidel with over-relaxation, in which every update is projected onto its interval: a relaxation method for
-    box-constrained quadratic programs in the family of Sugimoto et al. 1995 (theirs updates in parallel, ours in sequence).
-    It would be wrong to clip the unbounded solution instead wherever coefficients interact, since the others must make up
-    for one that is clipped.
+    This is Gauss-Seidel with over-relaxation, in which every update is projected onto its interval. It is a relaxation method
+    for box-constrained quadratic programs like that of Sugimoto et al. 1995, which updates in parallel and not in sequence.
+    It would be wrong to clip the unbounded solution instead. Coefficients interact, so that the others must compensate for a
+    clipped one.
     """
     x: np.ndarray = np.clip(np.zeros(len(g)) if start is None else np.array(start, float), lower, upper)
     _projected_relaxation(np.ascontiguousarray(h), g, lower, upper, x, relaxation, sweeps, tolerance)
@@ -126,7 +126,7 @@ def sparse_least_squares(
     Parameters
     ----------
     penalty : (A,)
-        Not negative.
+        Weights of the coefficients' absolute values, not negative.
     h, g, lower, upper, start, relaxation, sweeps, tolerance
         As in :func:`bounded_least_squares`.
 

@@ -1,14 +1,14 @@
-"""Whether the pictures are of the same moment as their depth, by what a moving head shows.
+"""Tell from a moving head whether the pictures show the same moment as their depth.
 
-A picture that comes tau frames late shows the skin displaced by -tau times the head's motion v, while the head itself is
-where the depth sees it. The colours' rows (:class:`.skin_term.SkinTerm`) say by how much s the whole face seems displaced;
-the warm start and the features, which come from the same picture, take a part of it. So
+A picture that is tau frames late shows the skin displaced by -tau times the head's motion v, while the depth shows where the
+head is. The rows of the colours (:class:`.skin_term.SkinTerm`) give the displacement s of the whole face. The warm start and
+the features, which come from the same picture, already contain a part of it. Therefore
 
     lag = -sum s . v / (sum v . v + prior)
 
-over the last frames, in the plane of the picture, is 0 for pictures in time whatever the face does. Measured on performers
+over the last frames, in the plane of the picture, is 0 for pictures in time, whatever the face does. Measured on performers
 2005 to 2011 in four looks: -0.17 to 0.10 with pictures in time; with pictures three frames late 0.15 to 0.38 once the head
-had moved. A stream that has stopped repeats its picture to the bit, which no camera's noise does.
+had moved. A stream that has stopped repeats its picture bit by bit, which the noise of a camera never does.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ import numpy as np
 from ..geometry.frame import RgbdFrame
 from .skin_term import SkinTerm
 
-#: What is left of a frame's say in the next one, and the prior of no lag, mm^2.
+#: Factor by which the weight of a frame decreases per frame, and the prior for no lag, mm^2.
 FADES, PRIOR = 0.93, 2.0
-#: From this lag on the pictures are late.
+#: Pictures with at least this lag are late.
 LATE = 0.13
-#: Every so many rows and columns are compared to tell a repeated picture from a new one.
+#: Stride of the rows and columns that are compared to tell a repeated picture from a new one.
 _SPARSE = 8
 
 
 @dataclass(frozen=True)
 class ColourClock:
-    """What the frames so far tell: the sums of the module's equation, mm^2; the last picture and depth, thinned."""
+    """Knowledge from the frames so far: the sums of the module's equation, mm^2, and the last picture and depth, thinned."""
 
     shifted: float = 0.0
     moved: float = 0.0
@@ -40,11 +40,11 @@ class ColourClock:
 
     @property
     def late(self) -> bool:
-        """Whether the newest picture is of an earlier moment than its depth."""
+        """Whether the newest picture is from an earlier moment than its depth."""
         return self.repeated or self.shifted > LATE * (self.moved + PRIOR)
 
     def after(self, frame: RgbdFrame) -> ColourClock:
-        """With a frame that has colour: does it repeat the last picture, though the depth is another?"""
+        """Add a frame with colour, which may repeat the last picture although its depth is new."""
         assert frame.colour is not None
         picture, depth = (np.ascontiguousarray(image[::_SPARSE, ::_SPARSE]) for image in (frame.colour, frame.depth))
         same = self.picture is not None and np.array_equal(picture, self.picture)
@@ -52,14 +52,14 @@ class ColourClock:
         return replace(self, picture=picture, depth=depth, repeated=repeated)
 
     def seen(self, term: SkinTerm, rotation: np.ndarray, motion: np.ndarray) -> ColourClock:
-        """With the rows of that frame: rotation (3, 3) head to camera, motion (3,) of the head since the last frame, mm."""
+        """Add that frame's rows, with the rotation (3, 3) head to camera and the motion (3,) since the last frame, mm."""
         shift = rotation @ face_shift(term)
         shifted = FADES * self.shifted - float(shift[:2] @ motion[:2])
         return replace(self, shifted=shifted, moved=FADES * self.moved + float(motion[:2] @ motion[:2]))
 
 
 def face_shift(term: SkinTerm) -> np.ndarray:
-    """(3,) mm, head frame: by how much all the samples together seem displaced, where each only knows some directions."""
+    """Common displacement (3,) of all samples in the head frame, mm. A single sample only knows some directions."""
     matrix = term.matrices.sum(axis=0)
     matrix += 1e-3 * np.trace(matrix) * np.eye(3)
     shift: np.ndarray = np.linalg.solve(matrix, term.pulls.sum(axis=0))

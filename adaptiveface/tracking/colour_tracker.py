@@ -1,10 +1,10 @@
-"""Track without depth: the 2D features alone drive pose, expression and deformation. The result says that it is degraded.
+"""Track without depth: the 2D features alone drive pose, expression and deformation. The result is marked as degraded.
 
-Where the frames bring the detector's landmarks, those of the actor's set take the place of the 40 features, each weighed by
-its measured reliability: nose and jaw tell a mouth that opens from a head that tips back, which the 40 cannot.
+If the frames bring the detector's landmarks, those of the actor's set replace the 40 features. Each is weighed by its measured
+reliability. Nose and jaw distinguish a mouth that opens from a head that tips back, which the 40 features cannot.
 
-What a colour camera cannot tell stays as it is: the size of the head and with it its distance (the rig's are taken),
-motion along the viewing direction, and everything between the features. Nothing is learned: a corrective needs depth.
+A colour camera cannot tell the size of the head and therefore its distance (those of the rig are used), motion along the
+viewing direction, and anything between the features. Nothing is learned, because a corrective needs depth.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from .tracker import FaceTracker
 from .types import STAGE_NAMES, TrackedFrame
 from .verdict import NO_FACE
 
-#: The parameters' pixels are those of a depth camera with about this focal length, px; frames are brought to it.
+#: The parameters' pixels are those of a depth camera with about this focal length, px. Frames are scaled to it.
 REFERENCE_FOCAL = 525.0
-#: Detected features come with the little confidence they deserve beside depth; here there is nothing beside them.
+#: Factor for the confidence of detected features, which is low because it is meant for frames with depth.
 ALONE = 1.0 / 0.3
-#: Then all weigh less against the penalties than beside depth: wrong by a pixel, they would bend the face.
+#: Factor that weakens all features against the penalties. With errors of a pixel, they would bend the face.
 TRUST = 0.15
 #: Penalties on the head's motion from frame to frame, per rad^2 and per mm^2, in the units of equation (1).
 TURN, SHIFT = 300.0, 0.005
-#: A face is seen from this many features on.
+#: Smallest number of features that make a visible face.
 MIN_FEATURES = 6
-#: Rounds of the joint fit where the pose was found anew: it starts farther away.
+#: Rounds of the joint fit after the pose was found again, because the fit starts farther away.
 FIRST_ROUNDS = 3
-#: Neighbouring landmarks err alike: together they count as this share of independent ones.
+#: Weight of the landmarks relative to independent ones, because the errors of neighbours are similar.
 SHARE = 0.3
-#: A landmark that is this many deviations off, beside what all of them are off, counts half.
+#: A landmark counts half if its error exceeds the common one by this many deviations.
 OUTLIER = 3.0
-#: What a confidence of 1 amounts to at the reference focal length, 1/mm^2.
+#: Weight of a confidence of 1 at the reference focal length, 1/mm^2.
 CERTAIN = 5e-5 * REFERENCE_FOCAL**2
 
 
@@ -54,7 +54,7 @@ class ColourTracker(Tracker):
     def __init__(self, actor: Actor, parameters: Parameters | None = None, stages: Stages | None = None) -> None:
         given, self.landmarks = actor, None if actor.landmarks is None else actor.landmarks.fitted
         if self.landmarks is not None:
-            # The 40 serve where a frame has no landmarks: recorded or synthetic ones.
+            # The 40 features serve recorded and synthetic frames, which have no landmarks.
             triangles = np.concatenate([actor.feature_triangles, self.landmarks.triangles])
             weights = np.concatenate([actor.feature_weights, self.landmarks.weights])
             actor = replace(actor, feature_triangles=triangles, feature_weights=weights)
@@ -62,7 +62,7 @@ class ColourTracker(Tracker):
         self.given = given
 
     def track(self, frame: RgbdFrame) -> TrackedFrame:
-        """Pose and expression of one frame. Never raises on a bad frame: the result says ``tracked`` False and why."""
+        """Track one frame. A bad frame raises nothing: ``tracked`` is then False, and ``reason`` says why."""
         last, ms = self.state, dict.fromkeys(STAGE_NAMES, 0.0)
         if frame.features is None or frame.features.valid.sum() < MIN_FEATURES:
             return self._lose(frame, ms, NO_FACE)
@@ -76,7 +76,7 @@ class ColourTracker(Tracker):
             held = None if self.state.pose is None else HeldPose(self.state.pose, TURN, SHIFT)
             for _ in range(rounds):
                 pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None, held)
-            x = self._filtered(x)  # after the pose: features alone move it too far for coefficients that lag
+            x = self._filtered(x)  # after the pose, because features alone move it too far for coefficients that lag
             v1 = self.blendshapes.shape(x)
         if not in_front(pose) or self._error(frame, pose, x) > 2.0 * self.parameters.rigid.max_reprojection_error:
             return self._lose(frame, ms, "the face in the picture does not fit the head")
@@ -93,7 +93,7 @@ class ColourTracker(Tracker):
         return self._tracked(frame, pose, meshes, (x, coefficients), parts.distances(), ms, held_out)
 
     def _observed(self, frame: RgbdFrame) -> RgbdFrame:
-        """The frame at the reference focal length; its features are the landmarks where it has them, else the 40."""
+        """The frame at the reference focal length. Its features are the landmarks if it has them, and otherwise the 40."""
         frame = at_reference_focal(frame)
         if self.landmarks is None:
             return frame
@@ -114,11 +114,11 @@ class ColourTracker(Tracker):
         return replace(frame, features=joined)
 
     def _find_pose(self, frame: RgbdFrame) -> tuple[np.ndarray | None, int]:
-        """The last pose where it still fits roughly, else one from the features (perspective-n-point); fit rounds."""
+        """The last pose if it still fits roughly, or one from the features (perspective-n-point), and the rounds to fit."""
         pose, x = self.state.pose, self.state.coefficients
         if pose is not None and self._error(frame, pose, x) < 5.0 * self.parameters.rigid.max_reprojection_error:
             return pose, 1
-        self.state = replace(self.state, pose=None)  # it is not held where it was wrong
+        self.state = replace(self.state, pose=None)  # a wrong pose must not be held
         return pose_from_features(frame, self.blendshapes.feature_points(x)), FIRST_ROUNDS
 
     def _error(self, frame: RgbdFrame, pose: np.ndarray, x: np.ndarray) -> float:
@@ -134,10 +134,10 @@ class ColourTracker(Tracker):
 
 
 def _believed(pixels: np.ndarray, points: np.ndarray, trust: np.ndarray, pose: np.ndarray, camera: Camera) -> np.ndarray:
-    """(L,) weights in (0, 1] of landmarks at ``pixels`` (L, 2), where the last frame's face has them at ``points`` (L, 3).
+    """Weights (L,) in (0, 1] of landmarks at ``pixels`` (L, 2), which the last frame's face has at ``points`` (L, 3).
 
-    Expressions that the rig does not have move some of them far off, and turned the head; ``trust`` (L,) 1/mm^2. The motion
-    of the whole head since that frame, their median, is no error.
+    Expressions that the rig lacks move some landmarks far, and would turn the head. The motion of the whole head since that
+    frame, which is the landmarks' median, is not an error. ``trust`` (L,) is in 1/mm^2.
     """
     expected = transform_points(pose, points)
     if (expected[:, 2] < 1.0).any():
@@ -148,14 +148,14 @@ def _believed(pixels: np.ndarray, points: np.ndarray, trust: np.ndarray, pose: n
 
 
 def in_front(pose: np.ndarray) -> bool:
-    """Whether a pose (4, 4) puts the face before the camera and turned towards it."""
+    """Whether a pose (4, 4) places the face in front of the camera and turned towards it."""
     return bool(np.isfinite(pose).all() and 100.0 < pose[2, 3] < 5000.0 and pose[2, 2] < 0.0)
 
 
 def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
-    """``frame``'s features and camera in pixels of :data:`REFERENCE_FOCAL`, so that every threshold keeps its meaning.
+    """Scale a frame's features and camera to :data:`REFERENCE_FOCAL`, so that every threshold keeps its meaning.
 
-    Depth is left out: this is how the tracker sees nothing else.
+    Depth is left out, so that the tracker cannot use it.
     """
     camera = frame.camera
     scale = REFERENCE_FOCAL / camera.fx
@@ -170,5 +170,20 @@ def at_reference_focal(frame: RgbdFrame) -> RgbdFrame:
 
 
 def make_tracker(actor: Actor, parameters: Parameters | None = None, colour_only: bool = False) -> Tracker:
-    """The tracker for a source: with depth, or for one that says ``colour_only`` the degraded one without."""
+    """Make the tracker for a source.
+
+    Parameters
+    ----------
+    actor : Actor
+        The rig of the person.
+    parameters : Parameters, optional
+        Our defaults without.
+    colour_only : bool
+        Whether the source has no depth.
+
+    Returns
+    -------
+    Tracker
+        A :class:`FaceTracker`, or without depth a :class:`ColourTracker`.
+    """
     return ColourTracker(actor, parameters) if colour_only else FaceTracker(actor, parameters)

@@ -1,4 +1,4 @@
-"""Head pose from the 2D features alone: start and re-detection after loss (section 4.1)."""
+"""Find the head pose from the 2D features alone, at the start and after a loss (section 4.1)."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import rigid_alignment, transform_points
 from .feature_rows import reprojection_errors
 
-#: Features with depth from which a face's size is measured, and the distance beyond which a pair of them tells it, mm.
+#: Number of features with depth that is needed to measure a face's size, and the smallest useful distance of a pair, mm.
 MIN_LIFTED, FAR_APART = 12, 25.0
 
 
 def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.ndarray]:
-    """Lift the 2D features into space where there is depth.
+    """Lift the 2D features that have depth into space.
 
     Parameters
     ----------
     frame : RgbdFrame
         With features.
     radius : int
-        The depth of a feature is the median of the measured pixels within so many pixels of it.
+        The depth of a feature is the median of the measured pixels within this distance, pixels.
 
     Returns
     -------
     indices : (f,) int
-        Which of the 40 features could be lifted.
+        Numbers of the features that could be lifted.
     points : (f, 3)
-        Where they lie, camera frame, mm.
+        Their places in the camera frame, mm.
     """
     indices, points = [], []
     height, width = frame.depth.shape
@@ -49,8 +49,8 @@ def lift_features(frame: RgbdFrame, radius: int = 2) -> tuple[np.ndarray, np.nda
 def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: float = 25.0) -> np.ndarray | None:
     """Find the pose that brings the head's features onto those of the frame (section 4.1: start and recovery).
 
-    The features that the depth map lifts are aligned rigidly, and the worst ones (holes, hair) are dropped. Where most of
-    them lack depth, a perspective-n-point solution of the pixels alone takes over (cv2 SQPnP).
+    The features that have depth are aligned rigidly, and the worst ones (in holes or hair) are dropped. If most features lack
+    depth, perspective-n-point from the pixels alone is used instead (SQPnP of OpenCV).
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: 
     feature_points : (40, 3)
         The features on the head, head frame, mm.
     max_error : float
-        Lifted features that are farther off are dropped, mm.
+        Lifted features with larger errors are dropped, mm.
 
     Returns
     -------
     (4, 4) or None
-        Head frame to camera frame, mm. None where no pose is found.
+        Head frame to camera frame, mm. None if no pose is found.
     """
     if frame.features is None or frame.features.valid.sum() < 6:
         return None
@@ -92,8 +92,8 @@ def pose_from_features(frame: RgbdFrame, feature_points: np.ndarray, max_error: 
 def measured_size(frame: RgbdFrame, feature_points: np.ndarray) -> float:
     """Compare the size of the face in the depth map with that of a head.
 
-    The ratio is the median over the distances between features, lifted by the depth map on one side and on the head on the
-    other. It needs no pose, and a wrong unit of depth multiplies it.
+    The result is the median ratio of the distances between features, which are measured in the depth map and on the head. It
+    needs no pose, and a wrong unit of depth multiplies it.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def measured_size(frame: RgbdFrame, feature_points: np.ndarray) -> float:
     Returns
     -------
     float
-        How many times as large as the head the face is; NaN where that is unknown.
+        Size of the face divided by that of the head; NaN if it is unknown.
     """
     if frame.features is None or frame.depth.shape != (frame.camera.height, frame.camera.width):
         return float("nan")

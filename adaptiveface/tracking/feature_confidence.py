@@ -1,7 +1,7 @@
-"""How far the 2D features of a frame can be trusted, judged by its depth: a covered mouth must not pull at the face.
+"""Judge by a frame's depth how far its 2D features can be trusted, so that a covered mouth does not pull at the face.
 
-Detectors guess what is hidden, and say nothing. The depth map knows better: where something is measured well in front
-of the tracked skin, a hand or a cup is seen instead of the feature (the paper's stated limitation, section 8).
+Detectors guess hidden features without saying so. The depth map shows the difference. If something is measured well in front
+of the tracked skin, a hand or a cup hides the feature (a limitation that the paper states in section 8).
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from ..caches.compiled import compiled
 from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_REGIONS, RgbdFrame
 
-#: Depth in front of the predicted skin: up to the first it may be an expression, from the second on it covers it, mm.
-#: Between two frames lips come forward by less; a finger is thicker.
+#: Depth in front of the predicted skin, mm: up to the first distance it may be an expression, from the second on it covers it.
+#: Lips move forward by less than this between two frames, and a finger is thicker.
 COVER_FROM, COVER_TO = 8.0, 16.0
 
 
 def uncovered(depth: np.ndarray, camera: Camera, points: np.ndarray, radius: int = 1) -> np.ndarray:
-    """(n,) in [0, 1]: 1 where nothing lies in front of points (n, 3) mm, camera frame, in the depth map (H, W) mm.
+    """Confidences (n,) in [0, 1] of points (n, 3) mm in the camera frame: 1 if nothing lies in front of them.
 
-    The median of what is measured in the (2 ``radius`` + 1)^2 pixels about the point decides; where nothing is, or
-    outside the picture, 1.
+    The median of the measured depth (H, W) mm in the (2 ``radius`` + 1)^2 pixels around a point decides. The confidence is 1
+    if nothing is measured there, and outside the picture.
     """
     behind = _behind(depth, np.rint(camera.project(points)).astype(int), points[:, 2], radius)
     return 1.0 - np.clip((behind - COVER_FROM) / (COVER_TO - COVER_FROM), 0.0, 1.0)
@@ -31,7 +31,7 @@ def uncovered(depth: np.ndarray, camera: Camera, points: np.ndarray, radius: int
 
 @compiled
 def _behind(depth: np.ndarray, pixels: np.ndarray, z: np.ndarray, radius: int) -> np.ndarray:
-    """(n,) how far depths ``z`` (n,) lie behind the median of what is measured about ``pixels`` (n, 2), mm; else 0."""
+    """How far depths ``z`` (n,) lie behind the median of the depth around ``pixels`` (n, 2), mm; 0 if nothing is measured."""
     height, width = depth.shape
     patch, out = np.empty((2 * radius + 1) ** 2, depth.dtype), np.zeros(len(pixels))
     for i in range(len(pixels)):
@@ -50,10 +50,10 @@ def _behind(depth: np.ndarray, pixels: np.ndarray, z: np.ndarray, radius: int) -
 
 
 def weigh_features(frame: RgbdFrame, points: np.ndarray) -> RgbdFrame:
-    """The frame with its features' confidences lowered where they are covered.
+    """Lower the confidences of a frame's features that are covered.
 
-    points (40, 3) mm, camera frame: where the features are expected. What of a region is left uncovered counts less as
-    well, down to nothing when half of it is covered: a detector moves the seen part along with the part it guesses.
+    ``points`` (40, 3) mm are the expected places of the features in the camera frame. The uncovered features of a region also
+    count less, and not at all if half of the region is covered, because a detector moves them along with those that it guesses.
     Measured with a blob 25 mm before a mouth (``tests/test_live_features.py``): the lips go astray by at most 2.8 mm,
     by 7.2 mm with the detector's own confidences.
     """

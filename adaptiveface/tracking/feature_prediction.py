@@ -1,8 +1,8 @@
-"""2D features of frames that the detector did not look at: where the tracked face has them, for the refinement to move.
+"""Predict the 2D features of frames that the detector did not look at, from the tracked face; they are then refined.
 
-The head's pose is known from the frame's own depth, and the expression from the last frame. What the face did since then, the
-neutral's colours find (:mod:`.feature_refinement`), which take the prediction for a detection. A face that cannot be predicted
-that way has the detector look at the next frame: features that moved far, or of which few are seen.
+The pose of the head is known from the frame's own depth, and the expression from the last frame. The neutral's colours
+(:mod:`.feature_refinement`) find the motion since then, with the prediction in place of a detection. The detector looks at the
+next frame if features moved far, or if few of them are visible, because the face cannot be predicted then.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from ..geometry.mesh import surface_points, transform_points
 from ..model.actor import Actor
 from .state import TrackerState
 
-#: Tracking is certain while less of the face than this is behind something.
+#: Tracking is certain while a smaller share of the face than this is hidden,
 MOST_OCCLUDED = 0.05
 #: and while features move from their prediction by no more than this between two frames (95 % of them), mm on the face;
 FARTHEST = 6.0
-#: and while so many are seen.
+#: and while at least so many are visible.
 FEWEST = 20
 
 
 def predict_features(frame: RgbdFrame, actor: Actor, last: TrackerState, pose: np.ndarray) -> RgbdFrame:
-    """The frame with features where last frame's face has them in its new ``pose`` (4, 4), if nobody looked for any."""
+    """If nothing was detected, give the frame the features of the last frame's face in its new ``pose`` (4, 4)."""
     if frame.searched or frame.colour is None or last.confidence is None:
         return frame
     points = transform_points(pose, surface_points(last.v4, actor.feature_triangles, actor.feature_weights))
@@ -34,9 +34,10 @@ def predict_features(frame: RgbdFrame, actor: Actor, last: TrackerState, pose: n
 
 
 def confidence_kept(found: RgbdFrame, refined: RgbdFrame) -> np.ndarray | None:
-    """(40,) the confidence of the features ``found``, detected or predicted, to predict the next ones with; None: not certain.
+    """Confidences (40,) for the features of the next prediction, or None if tracking is not certain.
 
-    ``refined``: the frame with these features refined and weighed by the depth.
+    ``found`` is the frame with detected or predicted features, and ``refined`` the same frame after they were refined and
+    weighed by the depth.
     """
     if found.colour is None or found.features is None or refined.features is None:
         return None

@@ -1,4 +1,4 @@
-"""The 2D features as linear constraints on points of the mesh (equations 2 and 5)."""
+"""Turn the 2D features into linear constraints on points of the mesh (equations 2 and 5)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,20 @@ from ..geometry.frame import Features2D
 
 @dataclass(frozen=True)
 class FeatureRows:
-    """Two rows per seen feature f: value = rows[f] @ v + offsets[f], with v the feature's point in the head frame (mm).
+    """Two rows per visible feature f: value = rows[f] @ v + offsets[f], with the feature's point v in the head frame, mm.
 
-    ``index`` (f,) into the 40 features; ``rows`` (f, 2, 3); ``offsets`` (f, 2); ``weights`` (f,): the confidences. The
-    value is in px mm as in eq. (2): the point's depth times its distance from the feature in pixels.
+    The value is in px mm as in equation (2): the point's depth times its distance from the feature in pixels.
+
+    Attributes
+    ----------
+    index : (f,) int
+        Numbers of the visible features among the 40.
+    rows : (f, 2, 3)
+        Coefficients of the points.
+    offsets : (f, 2)
+        Constant part.
+    weights : (f,)
+        The confidences.
     """
 
     index: np.ndarray
@@ -25,12 +35,12 @@ class FeatureRows:
     weights: np.ndarray
 
     def at(self, pose: np.ndarray) -> FeatureRows:
-        """From rows in the camera frame those at a ``pose`` (4, 4), head to camera: of points in the head frame."""
+        """Turn rows of camera-frame points into rows of head-frame points, for a ``pose`` (4, 4) head to camera."""
         return FeatureRows(self.index, self.rows @ pose[:3, :3], self.offsets + self.rows @ pose[:3, 3], self.weights)
 
 
 def camera_rows(features: Features2D | None, camera: Camera) -> FeatureRows:
-    """[1 0 -u_x; 0 1 -u_y] P for every seen feature: equation (2)'s rows of points in the camera frame."""
+    """Rows of equation (2) for points in the camera frame: [1 0 -u_x; 0 1 -u_y] P for every visible feature."""
     if features is None:
         return FeatureRows(np.zeros(0, int), np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros(0))
     index = np.flatnonzero(features.valid)
@@ -42,13 +52,13 @@ def camera_rows(features: Features2D | None, camera: Camera) -> FeatureRows:
 
 
 def feature_rows(features: Features2D | None, camera: Camera, pose: np.ndarray) -> FeatureRows:
-    """Equation (2): [1 0 -u_x; 0 1 -u_y] P (R v + t) for every seen feature; ``pose`` (4, 4) head to camera."""
+    """Rows of equation (2): [1 0 -u_x; 0 1 -u_y] P (R v + t) for every visible feature; ``pose`` (4, 4) head to camera."""
     return camera_rows(features, camera).at(pose)
 
 
 @compiled
 def turns(levers: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(f, r, 3) ``levers`` (f, 3) x ``directions`` (f, r, 3): how far a turn moves the levers' ends along the directions."""
+    """How far a turn moves the ends of ``levers`` (f, 3) along ``directions`` (f, r, 3): their cross products (f, r, 3)."""
     out = np.empty(directions.shape)
     for f in range(directions.shape[0]):
         x, y, z = levers[f, 0], levers[f, 1], levers[f, 2]
@@ -59,7 +69,7 @@ def turns(levers: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def reprojection_errors(features: Features2D, camera: Camera, points: np.ndarray) -> np.ndarray:
-    """(f,) pixel distances between the seen features and their points (40, 3), camera frame mm."""
+    """Distances (f,) of the visible features from the projections of their points (40, 3) mm in the camera frame, px."""
     seen = features.valid
     errors: np.ndarray = np.linalg.norm(camera.project(points[seen]) - features.pixels[seen], axis=1)
     return errors

@@ -1,6 +1,6 @@
-"""How well a tracked face fits what is seen of it: by landmarks that no fit has used, in percent of the eyes' distance.
+"""Measure how well a tracked face fits the picture, by landmarks that no fit has used, in percent of the eyes' distance.
 
-The held-out landmarks lie where they lie on everybody. A head of a wrong shape, a wrong pose and a wrong expression all show.
+The held-out landmarks have the same places on every face. They reveal a wrong head, a wrong pose and a wrong expression.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from ..geometry.mesh import transform_points
 from ..model.actor import Actor
 from ..model.feature_set import opening_of
 
-#: MediaPipe's corners of the right and of the left eye.
+#: MediaPipe's numbers of the corners of the right and the left eye.
 EYES = ((33, 133), (362, 263))
-#: Above this error, %, a face is not the one that is seen; and of so many frames it is said.
+#: Above this error, %, the tracked face is not the visible one; it is reported after this number of frames.
 BAD, MANY = 10.0, 0.05
 
 
 class HeldOut:
-    """Measures an actor's faces; ``regions``: names of the R regions, none for an actor without landmarks."""
+    """Measures an actor's faces. ``regions`` names the R regions; it is empty for an actor without landmarks."""
 
     def __init__(self, actor: Actor) -> None:
         landmarks = actor.landmarks
@@ -37,10 +37,25 @@ class HeldOut:
     def measure(
         self, face: DetectedFace | None, camera: Camera, pose: np.ndarray, vertices: np.ndarray, coefficients: np.ndarray
     ) -> np.ndarray:
-        """(R,) mean error of every region, % of the eyes' distance, across the view; empty where nothing was detected.
+        """Measure one frame.
 
-        ``face`` as detected; ``vertices`` (N, 3) in the head frame, ``pose`` (4, 4) head to camera, ``coefficients``
-        (A,) of the actor's expressions.
+        Parameters
+        ----------
+        face : DetectedFace or None
+            The detected landmarks.
+        camera : Camera
+            Of the frame.
+        pose : (4, 4)
+            Head frame to camera frame, mm.
+        vertices : (N, 3)
+            The tracked face in the head frame, mm.
+        coefficients : (A,)
+            Of the actor's expressions.
+
+        Returns
+        -------
+        (R,)
+            Mean error of every region across the view, % of the eyes' distance; empty if nothing was detected.
         """
         landmarks = self._landmarks
         if landmarks is None or face is None:
@@ -54,7 +69,7 @@ class HeldOut:
 
 
 def describe(errors: np.ndarray, regions: tuple[str, ...]) -> str:
-    """A line about errors (F, R) of tracked frames, % (0 where nothing was measured); "" where nothing was."""
+    """Describe the errors (F, R) of tracked frames, % (0: not measured), on one line; "" if nothing was measured."""
     measured = errors[(errors > 0).any(axis=1)]
     if not len(measured):
         return ""
@@ -68,7 +83,7 @@ def describe(errors: np.ndarray, regions: tuple[str, ...]) -> str:
 
 
 def warn(errors: np.ndarray, regions: tuple[str, ...]) -> str:
-    """What has to be said first of errors (F, R): that the face is not the one that is seen, and where; else ""."""
+    """Warn, from errors (F, R), that the tracked face is not the visible one, and name the region; "" if it is."""
     measured = errors[(errors > 0).any(axis=1)]
     if not len(measured):
         return ""

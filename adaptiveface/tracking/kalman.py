@@ -11,14 +11,14 @@ from ..parameters import KalmanParameters
 
 @dataclass(frozen=True)
 class FilterState:
-    """What the filter knows after a frame.
+    """State of the filter after a frame.
 
     Attributes
     ----------
     mean : (2, A) float
-        The A coefficients and their velocities, per frame or per second as the model says.
+        The A coefficients and their velocities, per frame or per second, depending on the model.
     covariance : (2, 2) float
-        The same for every coefficient.
+        Covariance, the same for every coefficient.
     """
 
     mean: np.ndarray
@@ -26,16 +26,16 @@ class FilterState:
 
     @property
     def coefficients(self) -> np.ndarray:
-        """(A,) the filtered coefficients."""
+        """The filtered coefficients (A,)."""
         first: np.ndarray = self.mean[0]
         return first
 
 
 class CoefficientFilter:
-    """One constant-velocity filter per coefficient; all share the 2 x 2 covariance, since noises are equal.
+    """One constant-velocity filter per coefficient. All share the 2 x 2 covariance, because their noises are equal.
 
-    State (2, A): coefficient and its velocity per frame. The paper names a process noise of 0.05 and a measurement noise
-    of 0.02 without saying how they enter. ``kalman.model``:
+    The state (2, A) holds each coefficient and its velocity. The paper names a process noise of 0.05 and a measurement noise
+    of 0.02 without saying how they are used. ``kalman.model`` is one of:
 
     * ``"variance"`` (default): Q = 0.05 I, R = 0.02, time in frames: a gain of about 0.9, little smoothing, no lag;
     * ``"acceleration"``: 0.05 and 0.02 are the variances of a white acceleration and of the measurement, time in seconds
@@ -52,15 +52,15 @@ class CoefficientFilter:
         if parameters.model == "acceleration":
             self._q = q * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
         self._off = parameters.model == "off"
-        #: What :meth:`update` knows from the frames before; None before the first one.
+        #: State of :meth:`update` after the frames so far; None before the first one.
         self.state: FilterState | None = None
 
     def reset(self) -> None:
-        """Forget the past (first frame, or the track was lost)."""
+        """Forget the past, before the first frame or after a loss."""
         self.state = None
 
     def update(self, measured: np.ndarray) -> np.ndarray:
-        """Filter the coefficients (A,) of one frame; returns (A,)."""
+        """Filter the coefficients (A,) of one frame, and return (A,)."""
         self.state = self.step(self.state, measured)
         return self.state.coefficients
 

@@ -1,9 +1,9 @@
-"""A sparse triangular factor, laid out in the order in which a solve reads it.
+"""Store a sparse triangular factor in the order in which a solve reads it.
 
-What a solve costs is mostly the wait for the factor: it is read twice in every frame, and other stages push it out of the
-processor's nearer caches meanwhile. Forwards, up to four neighbouring columns with the same rows below them (a part of a
-supernode) are eliminated in one pass, their values side by side and their row numbers stored once. Backwards, the columns
-lie in the order of the substitution. Every sum is taken column by column as without this, so that no result changes.
+Most of a solve's time is spent waiting for the factor. It is read twice in every frame, and other stages push it out of the
+processor's nearer caches meanwhile. The forward pass eliminates up to four neighbouring columns with the same rows below them
+(a part of a supernode) at once, with their values side by side and their row numbers stored once. For the backward pass, the
+columns are in the order of the substitution. Every sum is still taken column by column, so that no result changes.
 """
 
 from __future__ import annotations
@@ -18,10 +18,18 @@ from ..caches.compiled import compiled
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the b blocks of the forward pass and the n columns of the backward pass begin, and the rows that they touch.
+    """Layout of the b blocks of the forward pass and the n columns of the backward pass.
 
-    widths (b,): 4, 2 or 1 columns; block_rows (b + 1,) and block_values (b + 1,) their beginnings in ``rows`` and in the
-    values; column_starts (n + 1,) and column_rows: those of the backward pass, the last column first.
+    Attributes
+    ----------
+    widths : (b,)
+        4, 2 or 1 columns.
+    block_rows, block_values : (b + 1,)
+        Where the blocks begin in ``rows`` and in the values.
+    rows : int array
+        Row numbers below each block's own triangle.
+    column_starts, column_rows : (n + 1,), int array
+        The same for the columns of the backward pass, the last column first.
     """
 
     widths: np.ndarray
@@ -38,7 +46,7 @@ class PackedFactor:
     Parameters
     ----------
     lower : (n, n) sparse, compressed columns
-        G, its unit diagonal included.
+        G, including its unit diagonal.
     diagonal : (n,)
         The diagonal of D.
     order : (n,) int
@@ -60,11 +68,11 @@ class PackedFactor:
         self._single_values = forward.astype(np.float32), backward.astype(np.float32)
 
     def __len__(self) -> int:
-        """Entries of G below its diagonal."""
+        """Number of entries of G below its diagonal."""
         return len(self._values[0])
 
     def solve(self, right: np.ndarray, single: bool = False) -> np.ndarray:
-        """A^-1 b for b (n, 3); ``single``: with the factor rounded to single precision, which is faster to read."""
+        """Solve A x = b for b (n, 3). ``single`` uses the factor in single precision, which is faster to read."""
         forward, backward = self._single_values if single else self._values
         y = _permuted(right, self._order)
         at = self.layout
@@ -75,9 +83,9 @@ class PackedFactor:
 
 @compiled
 def _block_widths(starts: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(b,) numbers of neighbouring columns that are eliminated together."""
+    """Numbers (b,) of neighbouring columns that are eliminated together."""
     n = len(starts) - 1
-    alike = np.ones(n, np.int32)  # how many columns from each one on have the same rows below their triangle
+    alike = np.ones(n, np.int32)  # how many columns from each one on have the same rows below their own triangle
     for j in range(n - 2, -1, -1):
         first, second, end = starts[j], starts[j + 1], starts[j + 2]
         same = second - first == end - second + 1 and rows[first] == j + 1
@@ -98,7 +106,7 @@ def _block_widths(starts: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def _pack_forward(
     starts: np.ndarray, rows: np.ndarray, values: np.ndarray, widths: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Block by block: the values of its own triangle, column by column, then those of each row below it."""
+    """The values by block: first those of its own triangle, column by column, then those of each row below it."""
     first_row, first_value = np.zeros(len(widths) + 1, np.int32), np.zeros(len(widths) + 1, np.int32)
     shared, packed = np.empty(len(rows), np.uint32), np.empty(len(values), values.dtype)
     j, row, place = 0, 0, 0
@@ -122,7 +130,7 @@ def _pack_forward(
 
 @compiled
 def _pack_backward(starts: np.ndarray, rows: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The columns, the last one first; each as it is."""
+    """The columns in reversed order, each one unchanged."""
     n = len(starts) - 1
     first, turned, packed = np.zeros(n + 1, np.int32), np.empty(len(rows), np.uint32), np.empty(len(values), values.dtype)
     place = 0
@@ -186,7 +194,7 @@ def _forward(
 
 @compiled(inline="always")
 def _eliminate_two(rows: np.ndarray, begin: int, end: int, values: np.ndarray, place: int, y: np.ndarray, j: int) -> None:
-    """Columns j and j + 1, from the rows ``begin`` to ``end``."""
+    """Subtract columns j and j + 1 from the rows ``begin`` to ``end``."""
     a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
     a1, b1, c1 = y[j + 1, 0], y[j + 1, 1], y[j + 1, 2]
     for k in range(begin, end):
@@ -199,7 +207,7 @@ def _eliminate_two(rows: np.ndarray, begin: int, end: int, values: np.ndarray, p
 
 @compiled(inline="always")
 def _eliminate_four(rows: np.ndarray, begin: int, end: int, values: np.ndarray, place: int, y: np.ndarray, j: int) -> None:
-    """Columns j to j + 3, from the rows ``begin`` to ``end``."""
+    """Subtract columns j to j + 3 from the rows ``begin`` to ``end``."""
     a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
     a1, b1, c1 = y[j + 1, 0], y[j + 1, 1], y[j + 1, 2]
     a2, b2, c2 = y[j + 2, 0], y[j + 2, 1], y[j + 2, 2]

@@ -1,7 +1,7 @@
-"""Patches of skin moved to where the picture shows them: the compiled steps of ``feature_refinement.py``.
+"""Move patches of skin to their places in the picture: the compiled steps of ``feature_refinement.py``.
 
-All rounds are one call: in NumPy the small systems took more time than the samples, and kept Python's interpreter from the
-threads beside the tracker.
+All rounds are one call. In NumPy, the small systems took more time than the samples, and kept Python's interpreter from the
+other threads.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ..caches.compiled import compiled
 
 #: Deviations of the gain and the offset (percent) of a patch's brightness from one and zero.
 GAIN, OFFSET = 0.3, 20.0
-#: px: longest step of a round.
+#: Longest step of a round, px.
 _LONGEST = 1.5
 
 
@@ -30,16 +30,38 @@ def align_patches(
     rounds: int,
     floor: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Newton: shifts (n, 2) px of the patches ``seen`` (n,), and the variance (n,) px^2 that is left of each.
+    """Align patches with a picture by Gauss-Newton.
 
-    images, three (H, W, 3) float32: the picture's channels, their gradients along u, and along v. Samples of patch f
-    are ``starts[f]`` to ``starts[f + 1]`` of pixels (Q, 2), weights (Q,) and colours (Q, 3) of the neutral. shift (n, 2)
-    to begin with; detected (n, 2) with precision (n, n) px^-2 of u and of v; ``floor``: least variance of a channel.
+    Parameters
+    ----------
+    images : three (H, W, 3) float32
+        Channels of the picture, their gradients along u, and their gradients along v.
+    pixels, weights, colours : (Q, 2), (Q,), (Q, 3)
+        Samples of the neutral. Those of patch f are ``starts[f]`` to ``starts[f + 1]``.
+    starts : (P + 1,)
+        Where the samples of each patch begin.
+    seen : (n,)
+        Numbers of the patches to align.
+    shift : (n, 2)
+        First shifts, px.
+    detected, precision : (n, 2), (n, n)
+        Detected shifts, px, and their precision along u and along v, px^-2.
+    rounds : int
+        Number of rounds.
+    floor : float
+        Least variance of a channel.
+
+    Returns
+    -------
+    shift : (n, 2)
+        Of the patches, px.
+    variance : (n,)
+        That remains of each shift, px^2.
     """
     n = len(seen)
     shift, light = shift.copy(), np.zeros((n, 2))
     light[:, 0] = 1.0
-    gains, rests = np.zeros((n, 2, 2)), np.zeros((n, 2))  # of the brightness, per shift and without one
+    gains, rests = np.zeros((n, 2, 2)), np.zeros((n, 2))  # of the brightness: per unit of shift, and without a shift
     whole = np.zeros((2 * n, 2 * n))
     for _ in range(rounds):
         right = (precision @ (detected - shift)).ravel()
@@ -79,7 +101,7 @@ def _normal_equations(
     light: np.ndarray,
     floor: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """H (4, 4) and g (4,) of one patch in (shift u, shift v, gain, offset), samples with Cauchy's weights.
+    """Normal equations H (4, 4) and g (4,) of one patch in (shift u, shift v, gain, offset), with Cauchy's weights.
 
     A channel's scale is its weighted mean square residual in the patch, at least ``floor``. Only the brightness has a gain
     and an offset.
@@ -139,7 +161,7 @@ def _normal_equations(
 
 @compiled(nogil=True)
 def _eliminate_light(h: np.ndarray, g: np.ndarray, light: np.ndarray, gains: np.ndarray, rests: np.ndarray) -> None:
-    """Reduce H and g to the shift, in place; gain and offset, with their priors, follow as ``rests - gains @ step``."""
+    """Reduce H and g to the shift, in place. Gain and offset, with their priors, then are ``rests - gains @ step``."""
     prior_gain, prior_offset = GAIN**-2, OFFSET**-2
     h_gain, h_offset, h_both = h[2, 2] + prior_gain, h[3, 3] + prior_offset, h[2, 3]
     g_gain, g_offset = g[2] + (1.0 - light[0]) * prior_gain, g[3] - light[1] * prior_offset

@@ -1,4 +1,4 @@
-"""The constant matrix of the Laplacian deformation (section 4.3), its factor, and the products that every frame needs."""
+"""Factorise the constant matrix of the Laplacian deformation (section 4.3), and make the products for every frame."""
 
 from __future__ import annotations
 
@@ -13,15 +13,30 @@ from ..caches.compiled import compiled
 from ..geometry.mesh import cotangent_laplacian
 from .packed_factor import PackedFactor
 
-#: L (N, N) of a mesh: ``laplacian(vertices (N, 3), triangles (T, 3))``.
+#: ``laplacian(vertices (N, 3), triangles (T, 3))`` -> L (N, N) of a mesh.
 LaplacianOperator = Callable[[np.ndarray, np.ndarray], sp.spmatrix]
 
 
 class PrefactoredSystem:
     """A0 = w1 I + w2 L^T L on the frontal vertices, factorised once: A0 = P^T G D G^T P with G unit lower triangular.
 
-    ``w1`` is one weight, or one for each frontal vertex; ``laplacian(vertices, triangles)`` gives L (N, N). Raises RuntimeError
-    when A0 is singular (w1 = 0 and no vertex outside the frontal region).
+    Parameters
+    ----------
+    vertices, triangles : (N, 3)
+        The surface, mm, and its triangles.
+    frontal : (N,) bool
+        Vertices of the frontal region.
+    w1 : float or (n,)
+        One weight for all frontal vertices, or one for each.
+    w2 : float
+        Weight of the smoothness.
+    laplacian : callable
+        ``laplacian(vertices, triangles)`` -> L (N, N).
+
+    Raises
+    ------
+    RuntimeError
+        A0 is singular, because w1 is 0 and no vertex lies outside the frontal region.
     """
 
     def __init__(
@@ -38,7 +53,7 @@ class PrefactoredSystem:
         self._factorise(w1, w2)
 
     def reweighted(self, w1: float | np.ndarray, w2: float) -> PrefactoredSystem:
-        """The same surface with other energy weights: only the factorisation is made anew."""
+        """Return a system for the same surface with other energy weights. Only the factor is made again."""
         out = copy.copy(self)
         out._factorise(w1, w2)
         return out
@@ -46,12 +61,12 @@ class PrefactoredSystem:
     def _factorise(self, w1: float | np.ndarray, w2: float) -> None:
         self.smoothing = w2 * self._bending
         matrix = (self.smoothing + sp.diags(np.broadcast_to(np.asarray(w1, float), self._bending.shape[0]))).tocsc()
-        # The matrix is symmetric positive definite: diagonal pivots and a symmetric ordering keep the factor sparse.
+        # The matrix is symmetric positive definite, so that diagonal pivots and a symmetric ordering keep the factor sparse.
         factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         self.factor = PackedFactor(factor.L, factor.U.diagonal(), factor.perm_r)
 
     def solve(self, right_hand_side: np.ndarray) -> np.ndarray:
-        """A0^-1 b for b (n, c)."""
+        """Solve A0 x = b for b (n, c)."""
         solution = np.empty_like(right_hand_side, order="C", dtype=float)
         for first in range(0, right_hand_side.shape[1], 3):
             block = np.zeros((len(solution), 3))
@@ -61,7 +76,7 @@ class PrefactoredSystem:
         return solution
 
     def precondition(self, residual: np.ndarray) -> np.ndarray:
-        """A0^-1 r for r (n, 3) from the factor in single precision: enough for a search direction, and faster to stream."""
+        """A0^-1 r for r (n, 3) in single precision, which is faster to stream and accurate enough for a search direction."""
         return self.factor.solve(residual, single=True)
 
     def apply(self, d: np.ndarray, strength: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -76,9 +91,9 @@ class PrefactoredSystem:
 def _apply_with_planes(
     starts: np.ndarray, columns: np.ndarray, values: np.ndarray, strength: np.ndarray, normals: np.ndarray, d: np.ndarray
 ) -> np.ndarray:
-    """S d + strength (n^T d) n, (n, 3), for a sparse S in rows: one pass instead of five over arrays.
+    """S d + strength (n^T d) n, (n, 3), for a sparse S stored by rows, in one pass over the arrays instead of five.
 
-    n^T d is summed as NumPy's ``einsum`` does where it works on pairs.
+    n^T d is summed in the order of NumPy's ``einsum`` on pairs.
     """
     count = len(strength)
     image = np.empty((count, 3))

@@ -1,19 +1,18 @@
-"""Equations (3) to (5) and (7) as the paper prints them, and the nearest readings that work.
+"""Make the terms of equations (3) to (5) and (7) as the paper prints them, or in the nearest readings that work.
 
-Choices of ``laplacian``; every one of them ends in the matrix A0 = w1 I + w2 L^T L, which is factorised once, and the
-features' rows, which the Woodbury identity adds exactly (laplacian.py).
+The parameters of ``laplacian`` choose. All choices lead to the matrix A0 = w1 I + w2 L^T L, which is factorised once, and to
+the features' rows, which the Woodbury identity adds exactly (``laplacian.py``).
 
-* ``depth_term`` = "point-to-point" is equation (3). It holds the skin back along the surface, where depth knows nothing.
+* ``depth_term`` = "point-to-point" is equation (3). It also holds the skin along the surface, about which depth knows nothing.
 * ``feature_rows`` = "printed" is equation (4). It moves a feature sideways only in proportion to its change of depth:
-  where the depth is to stay, as in the final deformation, no vertex moves at all. "consistent" is the weak projection
-  that is meant: the displaced point has to lie on the feature's viewing ray, at its depth.
-* ``weights`` = "rows" multiplies the rows of equation (7) by w1 and w2, hence their energies by the squares.
-  "pseudo-inverse" is the printed solution: as K is tall it is read as (K^T K)^-1 K^T G^-1 a, and G^-1 takes out of ``a``
-  the weights that ``a`` holds. w1, w2 and the scale of the feature rows then have no influence.
+  if the depth must not change, as in the final deformation, no vertex moves at all. "consistent" is the weak projection
+  that must be meant: the displaced point lies on the feature's viewing ray, at its depth.
+* ``weights`` = "rows" multiplies the rows of equation (7) by w1 and w2, and therefore their energies by the squares.
+  "pseudo-inverse" is the printed solution. Because K is tall, it is read as (K^T K)^-1 K^T G^-1 a. G^-1 removes the
+  weights from ``a``, so that w1, w2 and the scale of the feature rows have no influence.
 
-The features' points are barycentric combinations of vertices where the paper has vertices. Pixels are counted from the
-principal point, so that P = diag(f_x, f_y, 1): with the principal point inside P, equation (4) would depend on where the
-corner of the picture lies.
+The features' points are barycentric combinations of vertices instead of vertices. Pixels are counted from the principal point,
+so that P = diag(f_x, f_y, 1). With the principal point in P, equation (4) would depend on the place of the picture's corner.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ from .laplacian import FeatureTerm
 def depth_offsets(matches: Correspondences, pose: np.ndarray, held: np.ndarray) -> np.ndarray:
     """p_i - v_i of equation (3), (n, 3) in the head frame, mm: p_i lies on the viewing ray of v_i.
 
-    The paper does not say what becomes of a vertex without depth; its row has to stay, or the matrix would change. Its
-    target is ``held`` (n, 3), the displacement of the last frame. ``pose`` (4, 4) head to camera.
+    The paper does not say what happens to a vertex without depth. Its row must stay, or the matrix would change. Its target
+    is ``held`` (n, 3), the displacement of the last frame, mm. ``pose`` (4, 4) is head to camera.
     """
     matched = matches.weights > 0
     points, normals = matches.points[matched], matches.normals[matched]
@@ -45,7 +44,7 @@ def depth_offsets(matches: Correspondences, pose: np.ndarray, held: np.ndarray) 
 def offsets_at_features(matches: Correspondences, pose: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """p_j - v_j (f, 3) in the head frame, mm, of features between ``corners`` (f, 3) with ``shares`` (f, 3).
 
-    Zero where not all three corners have depth.
+    It is zero if not all three corners have depth.
     """
     offsets = depth_offsets(matches, pose, np.zeros_like(matches.points))
     seen = (matches.weights[corners] > 0).all(axis=1)
@@ -68,20 +67,27 @@ def printed_term(
     rise: np.ndarray | float,
     parameters: LaplacianParameters,
 ) -> FeatureTerm:
-    """Equation (5), H_j P dv_j - d_j, for the seen features, in the head frame.
+    """Make the rows of equation (5), H_j P dv_j - d_j, for the visible features in the head frame.
 
     Parameters
     ----------
-    features : the 2D features, or None.
-    camera : of the features.
-    pose : (4, 4) head to camera.
-    points : (40, 3) where the features are on the mesh now, head frame, mm.
-    rise : (40,) or one number: p_z - v_z, by how much their depth is to change, mm.
-    parameters : ``feature_rows`` chooses H_j and d_j, ``weights`` between H_j P dv = d_j and P dv = H_j^-1 d_j.
+    features : Features2D or None
+        The 2D features.
+    camera : Camera
+        Of the frame.
+    pose : (4, 4)
+        Head frame to camera frame, mm.
+    points : (40, 3)
+        Current places of the features on the mesh, head frame, mm.
+    rise : (40,) or float
+        p_z - v_z, the wanted change of their depth, mm.
+    parameters : LaplacianParameters
+        ``feature_rows`` chooses H_j and d_j, and ``weights`` chooses between H_j P dv = d_j and P dv = H_j^-1 d_j.
 
     Returns
     -------
-    The term. Its first two rows are in px mm, the third is in mm; all have the features' confidence as weight.
+    FeatureTerm
+        Its first two rows are in px mm, and the third is in mm. All rows are weighted by the features' confidences.
     """
     if features is None:
         return FeatureTerm(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3)))

@@ -1,4 +1,4 @@
-"""Re-solving coefficients from a final mesh (section 6): in every frame of the tracker, and afterwards for retargeting."""
+"""Re-solve coefficients from a final mesh (section 6), in every frame of the tracker and afterwards for retargeting."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..parameters import BlendshapeParameters
 from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
 from .expression_prior import habit_penalty
 
-#: ``blendshapes.sparsity`` is stated for a face of this many frontal vertices.
+#: Number of frontal vertices for which ``blendshapes.sparsity`` holds.
 SPARSITY_VERTICES = 3500
 
 
@@ -26,17 +26,17 @@ class SparseResolve:
 
     Parameters
     ----------
-    actor
-        Its neutral and frontal region count.
+    actor : Actor
+        Has the neutral and the frontal region.
     basis : (A, N, 3)
         Expressions as displacements from the neutral, mm.
-    parameters
-        ``sparsity``, ``ridge``, ``habits`` and the coefficients' bounds.
-    dtype
-        Of the basis that meshes are multiplied with. Single precision halves the memory to stream in every frame; the
-        matrix of the normal equations is in double precision in both cases.
-    solver
-        Of the bounded problem.
+    parameters : BlendshapeParameters
+        ``sparsity``, ``ridge``, ``habits`` and the bounds of the coefficients are used.
+    dtype : dtype
+        Of the basis by which meshes are multiplied. Single precision halves the memory to stream in every frame. The normal
+        equations' matrix is in double precision in both cases.
+    solver : callable
+        Solves the bounded problem.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class SparseResolve:
 
     @classmethod
     def of(cls, actor: Actor, names: Sequence[str], parameters: BlendshapeParameters | None = None) -> Self:
-        """For the expressions ``names`` (A,) of an actor; raises :class:`FileFormatError` where it lacks one of them."""
+        """Make the solver for the expressions ``names`` (A,) of an actor; raises :class:`FileFormatError` if it lacks one."""
         missing = [name for name in names if name not in actor.expression_names]
         if missing:
             raise FileFormatError(f"the actor lacks the expressions {', '.join(missing)[:200]}")
@@ -70,7 +70,7 @@ class SparseResolve:
         return cls(rig, rig.blendshapes, parameters or BlendshapeParameters())
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-        """(A,) coefficients of a mesh (N, 3) in the head frame, mm; ``start`` (A,) is a first guess."""
+        """Find the coefficients (A,) of a mesh (N, 3) in the head frame, mm. ``start`` (A,) is a first guess."""
         displacement = (vertices.take(self._frontal, axis=0) - self._neutral).ravel().astype(self._dtype, copy=False)
         return few_coefficients(self._matrix, self._basis @ displacement, self._penalty, *self._bounds, start, self._solver)
 
@@ -84,9 +84,9 @@ def few_coefficients(
     start: np.ndarray | None = None,
     solver: BoundedSolver = bounded_least_squares,
 ) -> np.ndarray:
-    """(A,) the minimum of x^T H x / 2 - g^T x + sum_k penalty_k |x_k| within bounds (A,); ``start`` (A,) or None.
+    """Minimise x^T H x / 2 - g^T x + sum_k penalty_k |x_k| within bounds (A,); returns (A,).
 
-    Where no coefficient may be negative, the penalty is linear, and the plain bounded ``solver`` does it.
+    If no coefficient may be negative, the penalty is linear, and the plain bounded ``solver`` suffices.
     """
     if (lower >= 0.0).all():
         return solver(h, g - penalty, lower, upper, start)
@@ -94,11 +94,11 @@ def few_coefficients(
 
 
 def sparsity_penalty(gram: np.ndarray, sparsity: float, vertices: int) -> np.ndarray:
-    """(A,) half the weights of sum_k w_k |x_k| in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
+    """Half the weights (A,) of sum_k w_k |x_k| in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
 
-    v4 holds more than the blendshapes can express, and a plain bounded fit spreads that over many small coefficients: it
-    comes out no closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use few
-    expressions at a time, so each must explain at least ``sparsity`` mm (root of the summed squares over the face) to
-    take part: a lasso (Tibshirani 1996) within the coefficients' bounds that weighs every expression by its size |b_k|.
+    v4 contains more than the blendshapes can express, and a plain bounded fit spreads the rest over many small coefficients.
+    Its result is no closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use few
+    expressions at a time. Therefore an expression is only used if it explains at least ``sparsity`` mm (root of the summed
+    squares over the face). This is a lasso (Tibshirani 1996) within bounds that weighs every expression by its size |b_k|.
     """
     return np.asarray(sparsity * np.sqrt(vertices / SPARSITY_VERTICES) * np.sqrt(np.diag(gram)))

@@ -1,8 +1,8 @@
-"""Rigid motion tracking (section 4.1): fast projective point-to-plane ICP (Rusinkiewicz & Levoy 2001).
+"""Track rigid motion (section 4.1) by fast projective point-to-plane ICP (Rusinkiewicz & Levoy 2001).
 
-The paper's ICP "finishes when the average distance of unpruned correspondences to the depth map is below 3 mm". As a face
-that moves by less than that between two frames would never be followed if the test came first, it comes after each step
-(``rigid.stop`` = "distance"); even so it mostly ends after one. Our own rule ("motion") waits for the steps to become small.
+The paper's ICP "finishes when the average distance of unpruned correspondences to the depth map is below 3 mm". The test must
+follow each step (``rigid.stop`` = "distance"). If it came first, a face that moves by less than 3 mm between two frames would
+never be followed. Even so, ICP mostly ends after one step. Our own rule ("motion") waits until the steps are small.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ StepSolver = Callable[[np.ndarray, Correspondences, np.ndarray, np.ndarray], np.
 
 @dataclass(frozen=True)
 class RigidFit:
-    """Where rigid ICP has ended.
+    """The result of rigid ICP.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class RigidTracker:
     Parameters
     ----------
     vertex_weights : (n,)
-        How much each vertex counts. The vertices that move least in expressions should lead.
+        Weight of each vertex. Vertices that move least in expressions should count most.
     parameters : RigidParameters
         Limits, weights and the stop rule.
     solve : callable
@@ -95,7 +95,7 @@ class RigidTracker:
 
 
 def until_near(iterates: Iterator[Iterate[Correspondences]], distance: float) -> Iterator[Iterate[Correspondences]]:
-    """The start, and the steps up to the first after which the mean distance is below ``distance``, mm."""
+    """Yield the start, and the steps up to the first one after which the mean distance is below ``distance``, mm."""
     for number, iterate in enumerate(iterates):
         yield iterate
         if number and iterate.matches.mean_distance < distance:

@@ -1,4 +1,4 @@
-"""The stages that a tracker is composed of, each as the callable that makes it. Another stage is put in its place here."""
+"""Name the callables that make a tracker's stages, so that any stage can be replaced."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from .rigid import RigidTracker
 
 @dataclass(frozen=True)
 class Stages:
-    """How each stage is made, from the actor and from the stage's own parameters.
+    """The callables that make each stage from the actor and from the stage's own parameters.
 
-    A tracker makes its stages when it is created, and makes one again when that stage's parameters change::
+    A tracker makes its stages when it is created, and makes a stage again when that stage's parameters change::
 
         FaceTracker(actor, parameters, Stages(rigid=MyRigidTracker))
 
@@ -50,7 +50,7 @@ class Stages:
     adaptive_pca : (actor, blendshapes (A, N, 3), parameters) -> AdaptiveModel
         Sections 4.3 and 5.
     personal_blendshapes : (expressions (A, n, 3) over the frontal region, parameters) -> PersonalBlendshapes
-        Not in the paper; made only where they are on.
+        Not in the paper; made only if they are on.
     refinement : (actor, parameters) -> FeatureRefinement
         Not in the paper; made only for an actor whose appearance is known.
     skin : (skin, frontal region, deformation, parameters) -> DenseSkin

@@ -1,4 +1,4 @@
-"""What a tracker knows from one frame to the next."""
+"""Hold what a tracker knows from one frame to the next."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from .kalman import FilterState
 
 @dataclass(frozen=True)
 class TrackerState:
-    """Where the last frame left the face. A frame replaces it as a whole, so that a kept state stays what it was.
+    """The face after the last frame. A frame replaces the state as a whole, so that a stored state never changes.
 
-    What is learned over many frames is not part of it: that is the tracker's ``model``.
+    What is learned over many frames is not part of it, but of the tracker's ``model``.
 
     Attributes
     ----------
     pose : (4, 4) float or None
-        Head to camera, mm; None where the head is still to be found.
+        Head frame to camera frame, mm; None if the head must be found first.
     coefficients : (A,) float
         Filtered blendshape coefficients (section 4.2).
     v1, v4 : (N, 3) float
         Meshes of the initial blendshapes and of the final deformation, head frame, mm.
     deformation : (n, 3) float
-        Displacement v2 - v1 of the frontal vertices, from which the next frame's solve starts, mm.
+        Displacement v2 - v1 of the frontal vertices, mm, at which the next frame's solve starts.
     filter : FilterState or None
-        What the Kalman filter knows; None before its first frame.
+        State of the Kalman filter; None before its first frame.
     confidence : (40,) float or None
-        Of the features that were detected last; None where they cannot be predicted: the tracker is not certain.
+        Of the features that were detected last; None if the tracker is not certain, so that they cannot be predicted.
     clock : ColourClock
-        Whether the pictures are in time; kept by trackers with a colour term.
+        Tells whether the pictures are in time; used by trackers with a colour term.
     """
 
     pose: np.ndarray | None

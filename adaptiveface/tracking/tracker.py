@@ -1,4 +1,4 @@
-"""The tracker: one depth frame in, every stage's result out. Read it beside section 4 of the paper."""
+"""Track: one depth frame goes in, and every stage's result comes out. Read this beside section 4 of the paper."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from .state import TrackerState
 from .types import STAGE_NAMES, SampleState, TrackedFrame
 from .verdict import why_lost
 
-#: Weight, 1/mm^2, by which the mesh is bent to the coarsely refined features before they are refined finely.
+#: Weight by which the mesh is deformed to the coarsely refined features before they are refined finely, 1/mm^2.
 FOLLOW_WEIGHT = 3.0
 
 
 class FaceTracker(Tracker):
-    """The method of sections 4 and 5, on frames with depth.
+    """Tracks a face in frames with depth by the method of sections 4 and 5.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class FaceTracker(Tracker):
     parameters : Parameters, optional
         Our defaults without.
     stages : Stages, optional
-        What makes each stage, to put another one in its place.
+        The callables that make the stages, any of which can be replaced.
     """
 
     def __init__(self, actor: Actor, parameters: Parameters | None = None, stages: Stages | None = None) -> None:
@@ -79,28 +79,28 @@ class FaceTracker(Tracker):
         return self.stages.personal_blendshapes(basis[:, self.region.vertices], p) if p.on else None
 
     def _make_skin(self) -> DenseSkin | None:
-        """The colour term, where the actor's skin is known; it works with soft rows only."""
+        """Make the colour term if the actor's skin is known. It only works with soft rows."""
         p, skin = self.parameters, self.actor.skin
         if skin is None or not p.skin.on or p.laplacian.depth_term != "point-to-plane" or p.laplacian.feature_rows != "soft":
             return None
         return self.stages.skin(skin, self.region, self.deformation, p.skin)
 
     def forget_learned(self) -> None:
-        """Forget the correctives and the personal blendshapes, but not where the head is and what the face does."""
+        """Forget the correctives and the personal blendshapes, but keep the pose and the expression."""
         super().forget_learned()
         if self.personal is not None:
             self.personal.reset()
             self.wear_personal()
 
     def copy(self) -> Self:
-        """The tracker as it is between two frames, without copying arrays: tracking on replaces them."""
+        """Copy the tracker between two frames. Arrays are not copied, because tracking replaces them."""
         out = super().copy()
         out.personal = None if self.personal is None else self.personal.copy()
         return out
 
     @property
     def detect_every(self) -> int:
-        """``refinement.detect_every`` while features can be predicted and refined, 1 where they must be detected."""
+        """``refinement.detect_every`` while features can be predicted and refined, or 1 if they must be detected."""
         certain = self.refinement is not None and self.state.confidence is not None and not self.state.clock.late
         return self.parameters.refinement.detect_every if certain else 1
 
@@ -110,7 +110,7 @@ class FaceTracker(Tracker):
         Parameters
         ----------
         frame : RgbdFrame
-            With 2D features where a face was found.
+            With 2D features if a face was found.
 
         Returns
         -------
@@ -124,7 +124,7 @@ class FaceTracker(Tracker):
         if rigid is None or surface is None:
             self.forget()
             return self.untracked(frame, why_lost(frame, self.blendshapes.feature_points(self.state.coefficients)), ms)
-        face = None if frame.features is None else frame.features.face  # refined features come without it
+        face = None if frame.features is None else frame.features.face  # refined features do not contain it
         with timed(ms, "preprocess"):
             frame = self._refine_features(found := predict_features(frame, self.actor, last, rigid.pose), rigid.pose)
             expected = transform_points(rigid.pose, self.blendshapes.feature_points(last.coefficients))
@@ -164,7 +164,7 @@ class FaceTracker(Tracker):
     def _find_head(
         self, frame: RgbdFrame, normals: np.ndarray, ms: dict[str, float]
     ) -> tuple[RigidFit | None, DepthSurface | None]:
-        """Rigid ICP from the last pose, or from the 2D features where that fails or disagrees with them."""
+        """Run rigid ICP from the last pose, or from the 2D features if that fails or disagrees with them."""
         best: tuple[RigidFit | None, DepthSurface | None] = (None, None)
         for again in (False, True):
             with timed(ms, "preprocess"):
@@ -205,13 +205,13 @@ class FaceTracker(Tracker):
 
     # ---- the 2D features, by the neutral's colours (not in the paper) ----------------------------------------------
     def _refine_features(self, frame: RgbdFrame, pose: np.ndarray) -> RgbdFrame:
-        """The frame with refined features, where it has colour and the actor's appearance is known."""
+        """Refine the frame's features if it has colour and the actor's appearance is known."""
         features = frame.features
         if self.refinement is None or frame.colour is None or features is None or features.valid.sum() < 6:
             return frame
 
         def follow(refined: Features2D, mesh: np.ndarray) -> np.ndarray:
-            """The mesh (N, 3) bent to the features alone, which all count alike."""
+            """Deform the mesh (N, 3) to the features alone, which all have the same weight."""
             certain = replace(frame, features=replace(refined, confidence=np.ones(len(refined.confidence))))
             term = self._feature_term(certain, pose, mesh, FOLLOW_WEIGHT, hold_depth=True)
             return self.region.displaced(mesh, self.final_deformation.deform_to_features(term))
@@ -222,21 +222,21 @@ class FaceTracker(Tracker):
     def _match_depth(
         self, surface: DepthSurface, pose: np.ndarray, v1: np.ndarray, normals: np.ndarray
     ) -> tuple[Correspondences, float]:
-        """The depth matched to the frontal vertices; share of these that something in front of them hides."""
+        """Match the frontal vertices with the depth, and measure the share of them that something else hides."""
         p = self.parameters.laplacian
         matches = find_correspondences(
             surface, v1.take(self.region.vertices, axis=0), normals, p.max_correspondence_distance, pose
         )
         matches.weights[~self._may_match] = 0.0
-        some = np.flatnonzero(self._may_match)[::3]  # what hair covers is hidden for good
+        some = np.flatnonzero(self._may_match)[::3]  # vertices under hair are always hidden
         occluded = occluded_share(surface, matches.points[some], normals[some] @ pose[:3, :3].T, p.max_correspondence_distance)
         return matches, occluded
 
     def _deform(
         self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences, ms: dict[str, float]
     ) -> tuple[np.ndarray, ColourClock]:
-        """Displacement (n, 3) of v1's frontal vertices towards depth, features and colours; are the pictures in time?"""
-        with timed(ms, "skin"):  # what the colours tell about motion within the surface
+        """Displacement (n, 3) of v1's frontal vertices towards depth, features and colours, mm, and the pictures' clock."""
+        with timed(ms, "skin"):  # the colours tell about motion within the surface
             looks, clock = self._looks(frame, pose, v1, matches)
         with timed(ms, "laplacian"):
             if looks is None:
@@ -255,7 +255,7 @@ class FaceTracker(Tracker):
     def _looks(
         self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences
     ) -> tuple[Looks | None, ColourClock]:
-        """A picture that is compared from the last frame's displacement on, None where it tells nothing; is it in time?"""
+        """The rows of a picture, linearised at the last frame's displacement, or None without information, and the clock."""
         last, clock = self.state, self.state.clock
         if self.skin is None or frame.colour is None:
             return None, clock
@@ -268,7 +268,7 @@ class FaceTracker(Tracker):
         return None if clock.late else looks, clock
 
     def _deform_to_depth(self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences) -> np.ndarray:
-        """Displacement (n, 3) of the frontal vertices of v1 towards depth and 2D features."""
+        """Displacement (n, 3) of the frontal vertices of v1 towards depth and 2D features, mm."""
         p, start = self.parameters.laplacian, self.state.deformation
         if p.feature_rows == "soft":
             term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
@@ -280,12 +280,11 @@ class FaceTracker(Tracker):
         return self.deformation.deform(matches, matches.normals @ pose[:3, :3], term, start, p.cg_iterations)
 
     def _learn(self, parts: Parts, coverage: float, occluded: float, late: bool) -> SampleState:
-        """v2 - v1 as a training sample.
+        """Learn from v2 - v1 as a training sample.
 
-        While the blendshapes are the transferred ones, v1 - b0 lies in the anchor space, and v2 - b0 is the same sample. What
-        personal blendshapes add to v1 is theirs to explain.
-
-        ``late``: colours, and the features found in them, are of another moment than the depth.
+        While the blendshapes are the transferred ones, v1 - b0 lies in the anchor space, and v2 - b0 is the same sample.
+        Personal blendshapes explain what they add to v1, so that the sample does not contain it. If ``late``, the colours and
+        the features found in them belong to another moment than the depth.
         """
         p = self.parameters.adaptive_pca
         if coverage < p.min_coverage or occluded > p.max_occluded or late:
@@ -293,9 +292,9 @@ class FaceTracker(Tracker):
         return self.model.learn(parts) if p.learn else self.model.classify(parts)
 
     def _learn_expressions(self, state: SampleState, x: np.ndarray, v2: np.ndarray, coverage: float) -> None:
-        """What v2 says about the meshes of the expressions, from frames that the correctives would learn from, too.
+        """Learn from v2 about the meshes of the expressions, in frames from which the correctives would also learn.
 
-        ``x`` is the mean of the fitted and the re-solved coefficients, which do not err alike.
+        ``x`` is the mean of the fitted and the re-solved coefficients, whose errors differ.
         """
         good = state in (SampleState.IN_ANCHOR_SPACE, SampleState.LEARNED)
         if self.personal is not None and good and self.parameters.adaptive_pca.learn:

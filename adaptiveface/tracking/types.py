@@ -1,4 +1,4 @@
-"""What tracking hands back for one frame: every stage's result, so that nobody reaches into private state."""
+"""Define the result of one frame, which contains that of every stage, so that nothing else needs private state."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ..renamed import renamed
 
 
 class SampleState(IntEnum):
-    """What became of a frame as a training sample (section 5); the values are those of ``result.npz``.
+    """What became of a frame as a training sample (section 5). The values are those in ``result.npz``.
 
-    HIDDEN: too little of the face has depth, too much of it is behind something, or its picture is of another moment than its
-    depth (:mod:`.colour_clock`), whatever the sample looks like.
+    A sample is HIDDEN if too little of the face has depth, if too much of it is hidden, or if its picture shows another moment
+    than its depth (:mod:`.colour_clock`).
     """
 
     UNTRACKED = 0
@@ -25,7 +25,7 @@ class SampleState(IntEnum):
     HIDDEN = 4
 
 
-#: Names of the timed stages, in the order in which they run.
+#: Names of the timed stages in their order.
 STAGE_NAMES = (
     "preprocess",
     "rigid",
@@ -42,7 +42,7 @@ STAGE_NAMES = (
 @renamed
 @dataclass(frozen=True)
 class TrackedFrame:
-    """What the tracker made of one frame, tracked or not. N vertices, A expressions.
+    """The tracker's result for one frame, tracked or not, with N vertices and A expressions.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class TrackedFrame:
     sample_state : SampleState
         What became of the frame as a training sample.
     corrective_updates : int
-        PCA updates so far.
+        Number of PCA updates so far.
     residual : float
         Mean point-to-plane distance of the rigid fit, mm.
     anchor_distance, adaptive_distance : float
@@ -73,7 +73,7 @@ class TrackedFrame:
     reason : str
         Why the frame is not tracked, or "".
     held_out : (R,)
-        Error of the landmarks that no fit used, by region, % of the eyes' distance; empty where none were detected.
+        Error of the landmarks that no fit used, by region, % of the eyes' distance; empty if none were detected.
     """
 
     index: int
@@ -96,10 +96,10 @@ class TrackedFrame:
     held_out: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def in_camera(self, vertices: np.ndarray) -> np.ndarray:
-        """Head-frame points (n, 3) in the camera frame, mm."""
+        """Turn head-frame points (n, 3) into the camera frame, mm."""
         return transform_points(self.head_pose, vertices)
 
     @property
     def vertices(self) -> np.ndarray:
-        """(N, 3) final mesh v4 in the camera frame, mm."""
+        """The final mesh v4 (N, 3) in the camera frame, mm."""
         return self.in_camera(self.v4)

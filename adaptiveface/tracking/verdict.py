@@ -1,4 +1,4 @@
-"""How a run went, where it did not go well: what everybody who shows a result says first."""
+"""Say what went wrong in a run. Everything that shows a result says this first."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from ..geometry.frame import RgbdFrame
 from .detection import MIN_LIFTED, lift_features, measured_size
 from .types import TrackedFrame
 
-#: Share of the frames with a face that a good run tracks.
+#: Share of the frames with a face that a good run tracks at least.
 EXPECTED = 0.8
-#: Confidence of detected features, at most 0.3, below which the face is seen from far aside, on average over the features.
+#: Mean confidence of detected features, which is at most 0.3, below which the face is turned far away.
 ASIDE = 0.05
-#: Why a frame is not tracked where nobody knows of a face (the third: in results of earlier versions).
+#: Reasons for a frame without a known face; the third one occurs in results of earlier versions.
 NO_FACE, NO_DEPTH, UNKNOWN = "no face in the picture", "the depth map is empty", "the head was not found"
-#: Why the head was not found although there is a face.
+#: Reasons why the head was not found although there is a face.
 TURNED, BARE, WRONG_SIZE, MISFIT = (
     "the face is turned far away",
     "there is no depth at the face",
     "the face in the depth map has another size than the head",
     "the head does not fit the depth at the face",
 )
-#: The likely cause of each, and the way out.
+#: The likely cause of each reason, and the remedy.
 LIKELY = {
     TURNED: "perhaps the neutral was not seen from the front: --neutral-frames FIRST:LAST takes others",
     BARE: "perhaps colour and depth are not aligned, or the face is out of the sensor's range",
@@ -35,7 +35,7 @@ LIKELY = {
 
 
 def why_lost(frame: RgbdFrame, feature_points: np.ndarray) -> str:
-    """Why the head with ``feature_points`` (40, 3) was not found in a ``frame``."""
+    """Say why the head with ``feature_points`` (40, 3) mm was not found in a frame."""
     features = frame.features
     if not frame.depth.any():
         return NO_DEPTH
@@ -52,12 +52,12 @@ def why_lost(frame: RgbdFrame, feature_points: np.ndarray) -> str:
 
 
 def face_seen(reason: str) -> bool:
-    """Whether a frame that is not tracked for this ``reason`` is known to show a face."""
+    """Whether a frame that is not tracked for this reason is known to show a face."""
     return reason not in ("", NO_FACE, NO_DEPTH, UNKNOWN)
 
 
 def verdict(tracked: Iterable[bool], skipped: Iterable[bool], reasons: Iterable[str]) -> str:
-    """One line where fewer than ``EXPECTED`` of the frames with a face are tracked, with the likely reason; else ""."""
+    """Say on one line that fewer than ``EXPECTED`` of the frames with a face are tracked, with the likely cause; "" if not."""
     tracked = list(tracked)
     lost = Counter(
         reason
@@ -73,6 +73,6 @@ def verdict(tracked: Iterable[bool], skipped: Iterable[bool], reasons: Iterable[
 
 
 def verdict_of(frames: Iterable[TrackedFrame]) -> str:
-    """:func:`verdict` on the frames of a tracker."""
+    """Return the :func:`verdict` on a tracker's frames."""
     frames = list(frames)
     return verdict([f.tracked for f in frames], [False] * len(frames), [f.reason for f in frames])
