@@ -106,7 +106,7 @@ MISTAKES = (
     Mistake("this is a step of gradient descent: the matrix sum w g g^T + rest I is missing", _descent),
     Mistake("u and v are solved apart: the matrix has an off-diagonal", _apart),
     Mistake("every sample was given a shift of its own, and the mean was taken: one sample knows one direction only", _single),
-    Mistake("means stand in place of the sums, so that rest weighs n times as much", _mean),
+    Mistake("means were taken instead of sums, so that rest weighs n times as much", _mean),
     Mistake("the gradients were scaled to unit length: strong edges know more than weak ones", _with(gradients=_unit)),
     Mistake("half the step came back: the derivative of a square is 2, on both sides", lambda **case: 0.5 * solve(**case)),
 )
