@@ -16,17 +16,31 @@ from .features import surface_patch
 
 #: Smallest cosine between the skin's normal and the viewing ray at which a picture counts.
 MIN_COSINE = 0.3
-#: A sample needs as much as one view in which it faces the camera by this cosine.
+#: A sample needs at least the weight of one view with this cosine.
 SEEN = 0.5
 
 
 def gather_appearance(
     actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], parameters: RefinementParameters
 ) -> Appearance | None:
-    """The neutral's :class:`Appearance` from frames with colour and their head-to-camera poses (4, 4).
+    """Gather how the neutral looks around its features.
 
-    Every picture counts by the fourth power of how far the skin is turned to it, so that the frontal ones decide and nothing
-    is blurred by slanted ones. None when no frame has colour.
+    The weight of a picture is a fourth power that grows as the skin turns to the camera. Frontal pictures therefore decide,
+    and slanted ones blur nothing.
+
+    Parameters
+    ----------
+    actor : Actor
+        With the head as the frames show it.
+    views : iterable of (RgbdFrame, (4, 4))
+        Frames with their head-to-camera poses, mm.
+    parameters : RefinementParameters
+        Radius and spacing of the samples.
+
+    Returns
+    -------
+    Appearance or None
+        None if no frame has colour.
     """
     triangles, weights, feature = _samples(actor, parameters.radius, parameters.spacing)
     points = surface_points(actor.neutral, triangles, weights)
@@ -52,7 +66,7 @@ def gather_appearance(
 def _samples(actor: Actor, radius: float, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Triangles (Q, 3), weights (Q, 3) and feature (Q,) of samples about ``spacing`` apart around every feature, mm.
 
-    Only skin that is connected with the feature within ``radius``: never the other lip.
+    A sample is connected with its feature within ``radius``, so that it never lies on the other lip.
     """
     vertices, frontal = actor.neutral, actor.triangles[actor.frontal[actor.triangles].all(axis=1)]
     homes = surface_points(vertices, actor.feature_triangles, actor.feature_weights)
@@ -70,7 +84,7 @@ def _samples(actor: Actor, radius: float, spacing: float) -> tuple[np.ndarray, n
 
 
 def inner_grid(steps: int) -> np.ndarray:
-    """(steps (steps + 1) / 2, 3) evenly spread barycentric weights inside a triangle."""
+    """Evenly spread barycentric weights (steps (steps + 1) / 2, 3) inside a triangle."""
     i, j = np.meshgrid(np.arange(steps), np.arange(steps), indexing="ij")
     inside = i + j < steps
     a, b = i[inside] + 1 / 3, j[inside] + 1 / 3

@@ -1,10 +1,10 @@
-"""Identity, poses and expressions of many frames from a detector's landmarks alone, solved together (bundle adjustment).
+"""Solve identity, poses and expressions of many frames together, from a detector's landmarks alone (bundle adjustment).
 
-What a colour camera sees of a face depends on who it is, where the head is and what the face does; one frame cannot tell
-these apart, many can. Unknowns: identity coefficients and a constant offset of every landmark, which belong to the person;
-a pose and expression coefficients for each frame. Everything has a Gaussian prior of measured size: identity by its modes,
-offsets by how far landmarks lie apart from person to person, expressions by the detector's own scores, which only start
-them. The head's size, which pictures do not tell, is held at the average distance between the eyes.
+The picture of a face depends on the person, on the head's pose and on the expression. One frame cannot separate these, but
+many frames can. Identity coefficients and a constant offset of every landmark belong to the person. Each frame has a pose and
+expression coefficients. All unknowns have Gaussian priors of measured size: identity by its modes, offsets by the differences
+between people, and expressions by the detector's scores, which are only their start. Pictures do not show the size of the head,
+so that the distance between the eyes is held at the average.
 """
 
 from __future__ import annotations
@@ -26,22 +26,31 @@ from .features import ALONG
 ROUNDS = 10
 #: Weight of landmarks relative to independent ones, because neighbouring landmarks have similar errors.
 SHARE = 0.3
-#: Neighbouring offsets are alike as well: what all landmarks of a person say alike must not be forced into the identity.
+#: The same for the offsets, whose neighbours are also similar, so that common offsets are not forced into the identity.
 OFFSET_SHARE = 1.0
-#: Standard deviation of an expression coefficient around what the detector's scores say of it, and of the eyes' distance
-#: around that of the average head, mm.
+#: Standard deviation of an expression coefficient from the value of the detector's scores, and of the eyes' distance from
+#: that of the average head, mm.
 EXPRESSION_SIGMA, EYES_SIGMA = 0.25, 0.5
 #: A residual of this many deviations counts half.
 OUTLIER = 3.0
-#: iBUG-68 numbers 36, 39, 42, 45 among the 40 features: the corners of both eyes.
+#: Positions of the corners of both eyes (iBUG-68 numbers 36, 39, 42, 45) among the 40 features.
 EYE_CORNERS = (8, 11, 14, 17)
 
 
 @dataclass(frozen=True)
 class View:
-    """One frame: ``pixels`` (L, 2) of its landmarks, NaN where not seen; camera; ``prior`` (A,) of its expression.
+    """One frame of the bundle.
 
-    ``distance``: about how far away the head is, mm.
+    Attributes
+    ----------
+    pixels : (L, 2)
+        Of its landmarks; NaN for landmarks that are not seen.
+    camera : Camera
+        Of the frame.
+    prior : (A,)
+        Of the expression coefficients.
+    distance : float
+        Approximate distance of the head, mm.
     """
 
     pixels: np.ndarray
@@ -52,7 +61,19 @@ class View:
 
 @dataclass(frozen=True)
 class Bundle:
-    """identity (M,); offsets (L, 3) mm in the head frame; poses (K, 4, 4) head to camera; coefficients (K, A)."""
+    """The solution.
+
+    Attributes
+    ----------
+    identity : (M,)
+        Identity coefficients.
+    offsets : (L, 3)
+        Of the landmarks, head frame, mm.
+    poses : (K, 4, 4)
+        Head frame to camera frame, mm.
+    coefficients : (K, A)
+        Of the expressions.
+    """
 
     identity: np.ndarray
     offsets: np.ndarray
@@ -77,20 +98,23 @@ class BundleProblem:
         corners = model.feature_triangles[list(EYE_CORNERS)], model.feature_weights[list(EYE_CORNERS)]
         apart = [surface_points(mode, *corners) for mode in model.identity_modes[:modes]]
         between = np.array([-0.5, -0.5, 0.5, 0.5])
-        self.eyes = np.array([between @ points[:, 0] for points in apart])  # change of the eyes' distance per mode, mm
+        self.eyes = np.array(
+            [between @ points[:, 0] for points in apart]
+        )  # change of the distance between the eyes per mode, mm
 
     def points(self, identity: np.ndarray, offsets: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """(L, 3) landmarks in the head frame."""
+        """Landmarks (L, 3) in the head frame, mm."""
         places: np.ndarray = self.mean + self.modes @ identity + offsets + self.expressions @ x
         return places
 
     def linearise(
         self, view: View, pose: np.ndarray, identity: np.ndarray, offsets: np.ndarray, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Of one frame: rows (R, 6 + A) in its own unknowns; (R, M) in identity; (R / 2, 2, 3) in the offset; values
-        (R / 2, 2); landmarks seen; the point about which its pose turns.
+        """Linearise one frame at ``pose``.
 
-        Rows are in standard deviations; the values are those at zero identity, offset and expression and at ``pose``.
+        Returns the rows (R, 6 + A) in its own unknowns, (R, M) in the identity and (R / 2, 2, 3) in the offsets, their values
+        (R / 2, 2), the visible landmarks, and the centre of the pose's rotation. The rows are in standard deviations. The
+        values are those at zero identity, offset and expression.
         """
         points = self.points(identity, offsets, x)
         pixels = view.pixels - self.landmarks.slides(pose, view.camera, points, opening_of(self.names, x))
@@ -98,8 +122,8 @@ class BundleProblem:
         moved = transform_points(pose, points[seen])
         centre = moved.mean(axis=0)
         ray = (pixels[seen] - [view.camera.cx, view.camera.cy]) / [view.camera.fx, view.camera.fy]
-        # An error in the picture, times a distance that does not change: in millimetres at the head, a smaller head would
-        # have the smaller errors, and shrink.
+        # The error in the picture is multiplied by a constant distance. With the head's own distance, a smaller head has
+        # smaller errors in millimetres, and shrinks.
         shown = moved[:, :2] / moved[:, 2:]
         error = (shown - ray) * view.distance
         weight = SHARE * self.landmarks.trust(pose)[seen]
@@ -110,17 +134,17 @@ class BundleProblem:
         across *= (np.sqrt(weight) * view.distance / moved[:, 2])[:, None, None]
         in_head = across @ pose[:3, :3]
         own = np.concatenate([turns(moved - centre, across), across, in_head @ self.expressions[seen]], axis=2)
-        bent = points[seen] - self.mean[seen]  # by identity, offset and expression
+        bent = points[seen] - self.mean[seen]  # derivatives by identity, offset and expression
         value = np.sqrt(weight)[:, None] * error - (in_head @ bent[..., None])[..., 0]
         flat = 2 * len(seen), -1
         return own.reshape(flat), (in_head @ self.modes[seen]).reshape(flat), in_head, value, seen, centre
 
 
 def solve_bundle(model: FaceModel, landmarks: FeatureSet, views: list[View], poses: np.ndarray, modes: int) -> Bundle:
-    """Minimise the sum of squared landmark residuals and priors over K ``views``, from ``poses`` (K, 4, 4).
+    """Minimise the sum of squared landmark residuals and priors over K ``views``, starting from ``poses`` (K, 4, 4).
 
-    Gauss-Newton; each frame's pose and expression are eliminated (Schur complement) except for coefficients at their
-    bounds of 0 and 1, which stay there for a round.
+    This is Gauss-Newton, in which each frame's pose and expression are eliminated (Schur complement). Coefficients at their
+    bounds of 0 and 1 are not eliminated, and stay there for a round.
     """
     problem = BundleProblem(model, landmarks, modes)
     count, m = len(landmarks), problem.modes.shape[2]
@@ -142,7 +166,7 @@ def solve_bundle(model: FaceModel, landmarks: FeatureSet, views: list[View], pos
 
 
 def _priors(problem: BundleProblem, landmarks: FeatureSet) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of the shared unknowns before any frame: identity (M), offsets (3 L)."""
+    """Normal equations of the shared unknowns before any frame is added: identity (M), offsets (3 L)."""
     m, count = len(problem.eyes), len(landmarks)
     h = np.zeros((m + 3 * count, m + 3 * count))
     h[:m, :m] = np.eye(m) + np.outer(problem.eyes, problem.eyes) / EYES_SIGMA**2
@@ -155,7 +179,7 @@ def _priors(problem: BundleProblem, landmarks: FeatureSet) -> tuple[np.ndarray, 
 def _frame_equations(
     problem: BundleProblem, view: View, pose: np.ndarray, identity: np.ndarray, offsets: np.ndarray, x: np.ndarray
 ) -> FrameEquations:
-    """Blocks of one frame's normal equations: own (6 + A), own by shared, shared, both right-hand sides; the turn's centre."""
+    """Blocks of one frame's normal equations (own, own by shared, shared), both right-hand sides, and the turn's centre."""
     own, by_identity, by_offset, value, seen, centre = problem.linearise(view, pose, identity, offsets, x)
     m, count = by_identity.shape[1], len(problem.mean)
     shared = np.zeros((len(own), m + 3 * count))
@@ -171,7 +195,7 @@ def _frame_equations(
 
 
 def _add_eliminated(h: np.ndarray, g: np.ndarray, part: FrameEquations, x: np.ndarray) -> None:
-    """Add a frame to the shared equations, in place: its pose and free coefficients eliminated, the others as they are."""
+    """Add a frame to the shared equations, in place, and eliminate its pose and its free coefficients."""
     own, cross, shared, right, shared_right, _ = part
     free = np.concatenate([np.ones(6, bool), (x > 1e-6) & (x < 1 - 1e-6)])
     held = np.flatnonzero(~free)
@@ -183,7 +207,7 @@ def _add_eliminated(h: np.ndarray, g: np.ndarray, part: FrameEquations, x: np.nd
 
 
 def _own_update(part: FrameEquations, shared: np.ndarray, pose: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A frame's new pose and bounded coefficients for given shared unknowns."""
+    """Compute a frame's new pose and bounded coefficients from the shared unknowns."""
     own, cross, _, right, _, centre = part
     right = right - cross @ shared
     eliminated = np.linalg.solve(own[:6, :6], np.column_stack([own[:6, 6:], right[:6]]))

@@ -1,9 +1,9 @@
-"""Which frames show the neutral face: seen from the front, with a closed mouth, and looking as most others do.
+"""Choose the frames that show the neutral face: from the front, with a closed mouth, and similar to most others.
 
-People start a recording while they still turn to the camera, talk or smile. Frames are judged by their features, against the
-model's neutral face seen under the same pose (:mod:`~adaptiveface.neutral.face_quality`); what differs from person to person
-(how wide a mouth is, how open eyes are) against the median of the same take. What is an expression from the first frame on is
-told by the detector's scores (:mod:`~adaptiveface.neutral.expression`).
+People start a recording while they still turn to the camera, talk or smile. Frames are judged by their features. These are
+compared with the model's neutral face in the same pose (:mod:`~adaptiveface.neutral.face_quality`). What differs between
+people, such as the width of the mouth and the opening of the eyes, is compared with the median of the take. An expression that
+lasts from the first frame on is found by the detector's scores (:mod:`~adaptiveface.neutral.expression`).
 """
 
 from __future__ import annotations
@@ -20,25 +20,38 @@ from ..tracking.detection import pose_from_features
 from .expression import expressiveness
 from .face_quality import expression
 
-#: Degrees between the face's direction and the camera: seen from the front, and from too far aside.
+#: Largest angles between the face's direction and the camera for a frontal view, and for a usable one, degrees.
 FRONTAL, ASIDE = 25.0, 45.0
-#: Mean confidence of the features, as a share of the most confident one, below which a face is hardly seen.
+#: Mean confidence of the features, as a share of the highest one, below which a face is hardly visible.
 SEEN = 0.25
-#: Opening of the mouth that is none of a neutral face; largest deviations of width, eyes and brows from the take's median. In
-#: the tolerances of face_quality. Measured at rest: openings up to 0.45 (a beard); talking and laughing: from 0.8.
+#: Largest opening of a neutral mouth, and largest deviations of width, eyes and brows from the take's median, in the
+#: tolerances of face_quality. Openings at rest are at most 0.45 (with a beard); those of talking and laughing begin at 0.8.
 OPEN, UNLIKE = 0.6, np.array([0.8, 0.6, 0.5])
-#: Share of calm frames from which on they are taken as they come.
+#: Share of calm frames that suffices for taking the frames in their order.
 ENOUGH = 0.8
-#: Frames with a face among which the neutral is sought where the leading ones do not show it.
+#: Number of frames with a face in which the neutral is sought if the leading ones do not show it.
 LOOK = 150
-#: What is wrong with a frame, in the words of a note.
+#: Faults of a frame, in the words of a note.
 WORDS = ("turned away", "hardly seen", "with an open mouth", "moving", "smiling or the like")
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One frame: ``angle`` degrees from the front; ``seen`` 0..1; ``mouth``: opening, in its tolerance; ``rest``: (width,
-    eyes, brows), likewise; ``expression``: what the detector's scores tell of one, as a share of what is none."""
+    """The judgement of one frame.
+
+    Attributes
+    ----------
+    angle : float
+        From the frontal view, degrees.
+    seen : float
+        How well the face is visible, 0 to 1.
+    mouth : float
+        Opening of the mouth, in its tolerance.
+    rest : (3,)
+        Width of the mouth, opening of the eyes and height of the brows, in their tolerances.
+    expression : float
+        Strength of an expression in the detector's scores, as a share of what a face at rest reaches.
+    """
 
     angle: float
     seen: float
@@ -49,9 +62,16 @@ class Judged:
 
 @dataclass(frozen=True)
 class Choice:
-    """``picked``: positions of the chosen frames; ``note``: what is doubtful about them, or why it is not the first ones.
+    """The chosen frames.
 
-    ``doubtful``: the former.
+    Attributes
+    ----------
+    picked : list of int
+        Their positions.
+    note : str
+        What is doubtful about them, or why the first ones were not taken.
+    doubtful : bool
+        Whether the note is about a doubt.
     """
 
     picked: list[int]
@@ -60,7 +80,7 @@ class Choice:
 
 
 def judge(frame: RgbdFrame, points: np.ndarray) -> Judged | None:
-    """Judge a frame by its features, which the model has at ``points`` (40, 3); None where no pose explains them."""
+    """Judge a frame by its features, which the model has at ``points`` (40, 3) mm; None if no pose explains them."""
     pose = pose_from_features(frame, points)
     if pose is None:
         return None
@@ -74,7 +94,7 @@ def judge(frame: RgbdFrame, points: np.ndarray) -> Judged | None:
 
 
 def costs(judged: Sequence[Judged | None]) -> np.ndarray:
-    """(F, 5) what speaks against each frame, in the order of ``WORDS``: calm below 1."""
+    """Faults (F, 5) of each frame, in the order of ``WORDS``. A frame is calm if all of them are below 1."""
     out = np.full((len(judged), len(WORDS)), 9.0)
     faces = [(k, face) for k, face in enumerate(judged) if face is not None]
     if not faces:
@@ -91,10 +111,10 @@ def costs(judged: Sequence[Judged | None]) -> np.ndarray:
 
 
 def choose(judged: Sequence[Judged | None], count: int) -> Choice:
-    """The ``count`` frames to take of all that were judged, in order: the leading ones where they are calm.
+    """Choose ``count`` of the judged frames, in order.
 
-    Otherwise the ``count`` calmest ones; where fewer are calm, those; where there are hardly any, the leading ones, with a
-    note.
+    The leading frames are chosen if they are calm. Otherwise the ``count`` calmest frames are chosen, or all calm ones if there
+    are fewer. If hardly any are calm, the leading frames are chosen, with a note.
     """
     if not judged:
         return Choice([])
@@ -107,8 +127,8 @@ def choose(judged: Sequence[Judged | None], count: int) -> Choice:
     frontal = [face for face in (judged[int(k)] for k in calm) if face is not None and face.angle < FRONTAL]
     if len(calm) < max(3, count // 8) or not frontal:
         return Choice(lead, f"the neutral frames are doubtful: of {len(lead)}, {trouble}", True)
-    # Not those that follow one another: between two expressions a face is at rest for a few frames only. How far they are
-    # turned does not matter: the sides are wanted as well.
+    # The chosen frames need not follow one another, because a face rests only for a few frames between two expressions. Their
+    # angle does not matter, because the sides are needed as well.
     expressive = cost[calm, 2:].max(axis=1)
     picked = sorted(int(k) for k in calm[np.argsort(expressive, kind="stable")[:count]])
     return Choice(picked, f"of the first {len(lead)} frames with a face, {trouble}")
@@ -122,18 +142,18 @@ def leading_is_calm(cost: np.ndarray, judged: Sequence[Judged | None]) -> bool:
 
 
 def doubts(judged: Sequence[Judged | None], turned: bool = True) -> str:
-    """What speaks against these frames as a neutral, or ""; ``turned``: also that the face is seen from aside."""
+    """Say what speaks against these frames as a neutral, or "". With ``turned``, a face that is seen from aside counts."""
     cost = costs(judged)
     if not turned:
         cost[:, :2] = 0.0
         aside = np.array([face is None or face.angle >= ASIDE for face in judged], bool)
-        cost[aside, 2:] = 0.0  # the detector guesses there
+        cost[aside, 2:] = 0.0  # the detector guesses in such frames
     calm = cost.max(axis=1, initial=0.0) < 1
     return "" if not len(judged) or calm.mean() >= ENOUGH else _trouble(cost)
 
 
 def _trouble(cost: np.ndarray) -> str:
-    """Such as "the face is turned away in 28, moving in 3": every frame by the worst that speaks against it."""
+    """Count the frames by their worst fault, such as "the face is turned away in 28, moving in 3"."""
     worst = Counter(int(k) for k, value in zip(cost.argmax(axis=1), cost.max(axis=1), strict=True) if value >= 1)
     counts = ", ".join(f"{WORDS[k]} in {count}" for k, count in worst.most_common())
     return f"the face is {counts}" if counts else "none is seen from the front"

@@ -1,9 +1,8 @@
 """Estimate the neutral without depth, from the 2D features of some frames.
 
-Where the detector's landmarks are at hand, identity, poses and expressions of all frames are solved together
-(``neutral/bundle.py``), so that no frame need be neutral. From the 40 features alone, poses and identity of neutral frames
-are. The head's size is unknowable from pictures: a larger head farther away looks the same. It stays that of the average
-head.
+With the detector's landmarks, identity, poses and expressions of all frames are solved together (``neutral/bundle.py``), so
+that no frame must be neutral. With the 40 features alone, poses and identity of neutral frames are solved. Pictures do not show
+the size of the head, because a larger head farther away looks the same. It remains that of the average head.
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ from .plausible import check_identity
 DEFAULTS = Parameters()
 #: Deviation of the rays from the points of features with full confidence (detected: 0.3), mm; Gauss-Newton rounds.
 FEATURE_SIGMA, ROUNDS = 1.1, 8
-#: What many frames say alike counts as this many independent ones: a detector's errors stay from frame to frame.
+#: Largest number of independent frames that all frames count as, because a detector's errors persist from frame to frame.
 INDEPENDENT_FRAMES = 4.0
 #: Largest number of frames that are solved together. More take time and add little.
 MAX_VIEWS = 36
-#: Nobody sits nearer to a camera than the first; where a guessed focal length says so, the second is taken instead, mm.
+#: Smallest distance at which a person sits, and the distance to assume if a guessed focal length gives a smaller one, mm.
 NEAREST, USUAL = 260.0, 450.0
 
 
 @dataclass(frozen=True)
 class ColourCapture:
-    """``actor``; ``focal``: what the focal length of the frames' camera is to be multiplied by (1: it was known)."""
+    """The ``actor``, and the factor ``focal`` for the focal length of the frames' camera; it is 1 for a known camera."""
 
     actor: Actor
     focal: float = 1.0
@@ -52,7 +51,7 @@ class ColourCapture:
 def capture_colour_actor(
     frames: Sequence[RgbdFrame], model: FaceModel | None = None, parameters: Parameters = DEFAULTS
 ) -> Actor:
-    """The actor of :func:`capture_colour`, of frames of a calibrated camera."""
+    """Return the actor of :func:`capture_colour` for frames of a calibrated camera."""
     return capture_colour(frames, model, parameters).actor
 
 
@@ -62,14 +61,21 @@ def capture_colour(
     parameters: Parameters = DEFAULTS,
     guessed_focal: bool = False,
 ) -> ColourCapture:
-    """The average head with a person's proportions, as far as the 2D features of ``frames`` tell them.
+    """Fit the average head to a person's proportions, as far as 2D features show them.
 
     Parameters
     ----------
-    frames : of one person. With the detector's landmarks in any expression, the more different ones the better; with the
-        40 features alone, neutral.
-    guessed_focal : nobody calibrated the camera; where its focal length would put the head nearer than anybody sits, the
-        pictures were cropped, and it is raised.
+    frames : sequence of RgbdFrame
+        Of one person. With the detector's landmarks any expressions are allowed, and different ones are better. With the 40
+        features alone, the frames must be neutral.
+    guessed_focal : bool
+        Whether the camera is not calibrated. If its focal length would place the head nearer than a person sits, the pictures
+        were cropped, and the focal length is increased.
+
+    Returns
+    -------
+    ColourCapture
+        The actor, and the factor for the focal length.
 
     Raises
     ------
@@ -119,9 +125,9 @@ def _from_landmarks(
 
 
 def focal_factor(frames: Sequence[RgbdFrame], model: FaceModel) -> float:
-    """What a guessed focal length is to be multiplied by: 1, or more where the head would be nearer than ``NEAREST``.
+    """Factor for a guessed focal length: 1, or more if the head would be nearer than ``NEAREST``.
 
-    Solving it from the perspective in the face was tried and left out: a video without a turn of the head halved it.
+    Solving for it from the face's perspective was tried and rejected, because a video without a turn of the head halved it.
     """
     points = surface_points(model.mean, model.feature_triangles, model.feature_weights)
     poses = [pose_from_features(_without_depth(frame), points) for frame in frames if frame.features is not None]
@@ -130,9 +136,9 @@ def focal_factor(frames: Sequence[RgbdFrame], model: FaceModel) -> float:
 
 
 def solve_frames(frames: Sequence[RgbdFrame], model: FaceModel, modes: int) -> Bundle:
-    """:func:`solve_bundle` of at most ``MAX_VIEWS`` of the frames that show a face, spread evenly.
+    """Run :func:`solve_bundle` on at most ``MAX_VIEWS`` of the frames that show a face, spread evenly.
 
-    Raises :class:`TrackingError` when none does.
+    Raises :class:`TrackingError` if no frame shows a face.
     """
     if model.landmarks is None:
         raise ValueError("the face model has no landmarks")
@@ -155,10 +161,10 @@ def solve_frames(frames: Sequence[RgbdFrame], model: FaceModel, modes: int) -> B
 def fit_identity_to_features(
     frames: Sequence[RgbdFrame], model: FaceModel, modes: int
 ) -> tuple[np.ndarray, list[RgbdFrame], np.ndarray]:
-    """Identity coefficients (M,), the frames that show a face, and the head-to-camera pose (K, 4, 4) of each.
+    """Solve for identity coefficients (M,) and the pose (K, 4, 4) head to camera of each frame that shows a face.
 
-    Gauss-Newton on all poses and coefficients; each frame's pose is eliminated (Schur complement), so that the system
-    has the size of the coefficients. Raises :class:`TrackingError` when no frame shows a face.
+    This is Gauss-Newton on all poses and coefficients. Each frame's pose is eliminated (Schur complement), so that the system
+    has the size of the coefficients. Raises :class:`TrackingError` if no frame shows a face.
     """
     modes = min(modes, len(model.identity_modes))
     basis = np.einsum("fk,mfkd->fdm", model.feature_weights, model.identity_modes[:modes, model.feature_triangles])
@@ -171,7 +177,7 @@ def fit_identity_to_features(
     identity: np.ndarray = np.zeros(modes)
     for _ in range(ROUNDS):
         parts = [_linearise(f, p, mean, basis, identity, weight) for f, p in zip(seen, poses, strict=True)]
-        h, g = np.eye(modes), np.zeros(modes)  # the prior: coefficients are standard deviations
+        h, g = np.eye(modes), np.zeros(modes)  # the prior, because coefficients are in standard deviations
         for lhs, rhs, _ in parts:
             eliminated = np.linalg.solve(lhs[:6, :6], np.column_stack([lhs[:6, 6:], rhs[:6]]))
             h += lhs[6:, 6:] - lhs[6:, :6] @ eliminated[:, :-1]
@@ -187,7 +193,7 @@ def fit_identity_to_features(
 def _linearise(
     frame: RgbdFrame, pose: np.ndarray, mean: np.ndarray, basis: np.ndarray, identity: np.ndarray, weight: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normal equations (6 + M) of one frame's features in (pose update, coefficients), and the update's centre."""
+    """Normal equations (6 + M) of one frame's features in (pose update, coefficients), and the centre of rotation."""
     rows = feature_rows(frame.features, frame.camera, pose)
     points = mean[rows.index] + basis[rows.index] @ identity
     in_camera = rows.rows @ pose[:3, :3].T
@@ -196,7 +202,7 @@ def _linearise(
     turn = turns(moved - centre, in_camera)
     jacobian = np.concatenate([turn, in_camera, rows.rows @ basis[rows.index]], axis=2) / frame.camera.fx
     jacobian = jacobian.reshape(-1, jacobian.shape[2])
-    # Linear in the coefficients: their values are solved for, the pose's change.
+    # The rows are linear in the coefficients, so their values are solved for; of the pose, the change is solved for.
     value = (np.einsum("fij,fj->fi", rows.rows, mean[rows.index]) + rows.offsets).ravel() / frame.camera.fx
     weights = np.repeat(weight * rows.weights, 2)[:, None]
     lhs = jacobian.T @ (weights * jacobian)

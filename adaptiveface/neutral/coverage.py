@@ -54,13 +54,13 @@ def choose_by_coverage(frames: Sequence[RgbdFrame], points: np.ndarray, count: i
 
 
 def _direction(frame: RgbdFrame, points: np.ndarray) -> np.ndarray:
-    """(3,) unit vector from the head to the camera, head frame."""
+    """Unit vector (3,) from the head to the camera, head frame."""
     pose = pose_from_features(frame, points)
-    assert pose is not None  # only of frames that were judged by their pose
+    assert pose is not None  # only frames that were judged have a pose
     towards: np.ndarray = -pose[:3, :3].T @ pose[:3, 3]
     return towards / max(float(np.linalg.norm(towards)), 1e-9)
 
 
 def _angle(one: np.ndarray, other: np.ndarray) -> float:
-    """Degrees between two unit vectors."""
+    """Angle between two unit vectors, degrees."""
     return float(np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))))

@@ -1,7 +1,7 @@
-"""The embedded deformation graph of the shrink-wrap (Sumner et al. 2007; Li et al. 2009).
+"""Deform a mesh by an embedded deformation graph, for the shrink-wrap (Sumner et al. 2007; Li et al. 2009).
 
-Nodes on the mesh carry affine transforms A, t; a vertex follows its nodes, v' = sum_i w_i (A_i (v - x_i) + x_i + t_i).
-The unknowns are stacked as (4 G, 3): for every node the rows of A^T, then t; in a flat vector, unknown k of coordinate
+Nodes on the mesh have affine transforms A, t, and a vertex follows its nodes: v' = sum_i w_i (A_i (v - x_i) + x_i + t_i).
+The unknowns are stacked as (4 G, 3): for every node the rows of A^T, followed by t. In a flat vector, unknown k of coordinate
 d is at 3 k + d.
 """
 
@@ -22,8 +22,16 @@ _NEIGHBOURS = 4  # number of nodes that move a vertex
 class DeformationGraph:
     """Nodes on a mesh.
 
-    nodes (G,) vertex numbers; positions (G, 3) mm; carriers (V, C): the nodes that carry each vertex, shares (V, C)
-    their weights (rows sum to 1); edges (E, 2): nodes that carry a common vertex.
+    Attributes
+    ----------
+    nodes : (G,) int
+        Their vertex numbers.
+    positions : (G, 3)
+        Their places, mm.
+    carriers, shares : (V, C) int, (V, C)
+        The nodes that carry each vertex, and their weights; rows sum to 1.
+    edges : (E, 2) int
+        Pairs of nodes that carry a common vertex.
     """
 
     nodes: np.ndarray
@@ -49,7 +57,7 @@ def deformation_graph(vertices: np.ndarray, triangles: np.ndarray, spacing: floa
 
 
 def _spread(net: sp.csr_matrix, n: int, spacing: float) -> np.ndarray:
-    """Vertex numbers such that every vertex has one within ``spacing`` mm along the mesh, and none is much nearer."""
+    """Choose vertices so that every vertex has one within ``spacing`` mm along the mesh, and none is much nearer."""
     free, nodes = np.ones(n, bool), []
     for vertex in range(n):
         if free[vertex]:
@@ -81,7 +89,7 @@ def _graph_edges(carriers: np.ndarray, shares: np.ndarray) -> np.ndarray:
 
 
 def carry_matrix(graph: DeformationGraph, vertices: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
-    """C (V, 4 G) and c (V, 3): deformed vertices C unknown + c, i.e. v' = sum_i w_i (A_i (v - x_i) + x_i + t_i)."""
+    """Matrix C (V, 4 G) and constant c (V, 3) of the deformed vertices C unknown + c."""
     offset = vertices[:, None] - graph.positions[graph.carriers]
     data = graph.shares[..., None] * np.concatenate([offset, np.ones((*offset.shape[:2], 1))], axis=2)
     columns = 4 * graph.carriers[..., None] + np.arange(4)
@@ -91,13 +99,13 @@ def carry_matrix(graph: DeformationGraph, vertices: np.ndarray) -> tuple[sp.csr_
 
 
 def rest_positions(graph: DeformationGraph) -> np.ndarray:
-    """(V, 3) sum_i w_i x_i: the constant part of the deformed vertices."""
+    """Constant part (V, 3) of the deformed vertices: sum_i w_i x_i, mm."""
     positions: np.ndarray = np.einsum("vc,vcd->vd", graph.shares, graph.positions[graph.carriers])
     return positions
 
 
 def smoothness_rows(graph: DeformationGraph) -> tuple[sp.csr_matrix, np.ndarray]:
-    """E_smooth: rows A_i (x_j - x_i) + x_i + t_i - (x_j + t_j), both ways along every edge; matrix and constant."""
+    """E_smooth: matrix and constant of the rows A_i (x_j - x_i) + x_i + t_i - (x_j + t_j), both ways along every edge."""
     i, j = np.concatenate([graph.edges, graph.edges[:, ::-1]]).T
     offset = graph.positions[j] - graph.positions[i]
     rows = np.arange(len(i))
@@ -109,7 +117,7 @@ def smoothness_rows(graph: DeformationGraph) -> tuple[sp.csr_matrix, np.ndarray]
 
 
 def rigidity_rows(unknown: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
-    """E_rigid: the six equations that make the columns a_c of each A orthonormal, linearised at the present A."""
+    """E_rigid: the six equations that make the columns a_c of each A orthonormal, linearised at the current A."""
     G = len(unknown) // 4
     columns = unknown.reshape(G, 4, 3)[:, :3]  # columns[g, c] is a_c of node g
     rows, cols, data, value = [], [], [], []
@@ -124,6 +132,6 @@ def rigidity_rows(unknown: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
 
 
 def step_square(graph: DeformationGraph) -> float:
-    """mm^2: turns the dimensionless deviation of A from a rotation into the offset it makes at the next node."""
+    """Factor that turns the deviation of A from a rotation into the squared offset at the next node, mm^2."""
     step = graph.positions[graph.edges[:, 0]] - graph.positions[graph.edges[:, 1]]
     return float((step**2).sum(axis=1).mean())

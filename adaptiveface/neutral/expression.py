@@ -20,8 +20,8 @@ from ..tracking.bounded import bounded_least_squares
 from ..tracking.expression_prior import UPPER, expression_statistics
 from .fuse import FusedScan
 
-#: The detector's scores that tell an expression, with what they reach on faces at rest (without Left and Right). What it says
-#: of brows, lids, pucker and chin differs more from person to person than from expression to expression.
+#: The detector's scores that show an expression, and their values on faces at rest (without Left and Right). Its scores of
+#: brows, lids, pucker and chin differ more from person to person than from expression to expression.
 TELLING = {
     "jawOpen": 0.3,
     "jawLeft": 0.3,
@@ -38,17 +38,17 @@ TELLING = {
 _REST = np.array(
     [TELLING.get(name.removesuffix("Left").removesuffix("Right"), TELLING.get(name, np.inf)) for name in SCORE_NAMES]
 )
-#: Standard deviation of the coefficient of brows and lids, which the scores do not tell.
+#: Standard deviation of the coefficients of brows and lids, which the scores do not show.
 UPPER_DEVIATION = 0.05
 
 
 def expressiveness(face: DetectedFace | None) -> float:
-    """How much of an expression the detector's scores tell, from 1 on more than faces at rest; 0 without scores."""
+    """Strength of the expression in the detector's scores: above 1 for more than a face at rest, 0 without scores."""
     return 0.0 if face is None or face.scores is None else float((face.scores / _REST).max())
 
 
 def scored_coefficients(face: DetectedFace, model: FaceModel) -> np.ndarray:
-    """(A,) coefficients of the generic expressions that come closest to the detector's scores; zeros without scores."""
+    """Coefficients (A,) of the generic expressions that are closest to the detector's scores; zeros without scores."""
     if face.scores is None:
         return np.zeros(len(model.generic_weights))
     score = dict(zip(SCORE_NAMES, face.scores, strict=True))
@@ -59,7 +59,7 @@ def scored_coefficients(face: DetectedFace, model: FaceModel) -> np.ndarray:
 
 
 def untold(model: FaceModel) -> np.ndarray:
-    """(A,) standard deviation of the coefficients that no score tells: how far a real take goes with each."""
+    """Standard deviations (A,) of coefficients without a score, from the values in a real take."""
     names, moments = expression_statistics()
     usual = dict(zip(names, np.sqrt(np.diag(moments)), strict=True))
     return np.array([UPPER_DEVIATION if n.startswith(UPPER) else usual.get(n, UPPER_DEVIATION) for n in model.generic_names])
@@ -67,10 +67,16 @@ def untold(model: FaceModel) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ExpressionPrior:
-    """What is known of the expression in a scan before the fit: Gaussian, within [0, 1].
+    """Gaussian prior of the expression in a scan, with coefficients in [0, 1].
 
-    shapes (A, V, 3) mm: the generic expressions of the average head; mean, deviation (A,) of their coefficients. What the
-    detector's scores tell is where the fit starts, and as uncertain as it is strong.
+    The detector's scores give the start of the fit. A coefficient is as uncertain as it is strong.
+
+    Attributes
+    ----------
+    shapes : (A, V, 3)
+        Generic expressions of the average head, mm.
+    mean, deviation : (A,)
+        Of their coefficients.
     """
 
     shapes: np.ndarray
@@ -79,7 +85,7 @@ class ExpressionPrior:
 
     @classmethod
     def of(cls, scan: FusedScan, model: FaceModel) -> ExpressionPrior | None:
-        """From the detector's scores in the frames of the scan; None where they tell of a face at rest, or are not there."""
+        """Make the prior from the detector's scores in the frames of the scan; None for a face at rest, or without scores."""
         faces = [features.face for features in scan.features if features is not None]
         scores = [face.scores for face in faces if face is not None and face.scores is not None]
         if not scores:
@@ -90,7 +96,7 @@ class ExpressionPrior:
         return cls(model.generic_expressions, mean, np.maximum(mean, untold(model))) if mean.any() else None
 
     def solve(self, lhs: np.ndarray, rhs: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve normal equations (n + A) for a step of n free unknowns and new coefficients (A,), which were ``x``."""
+        """Solve normal equations (n + A) for a step of n free unknowns, and for new coefficients (A,) instead of ``x``."""
         n = len(lhs) - len(x)
         eliminated = np.linalg.solve(lhs[:n, :n], np.column_stack([lhs[:n, n:], rhs[:n]]))
         h = lhs[n:, n:] - lhs[n:, :n] @ eliminated[:, :-1]
@@ -101,9 +107,9 @@ class ExpressionPrior:
 
 
 def without_expression(model: FaceModel, identity: np.ndarray, expression: np.ndarray, scanned: np.ndarray) -> np.ndarray:
-    """(V, 3) the neutral of a head that was ``scanned`` (V, 3) with an ``expression`` (A,); ``identity`` (M,) fits it best.
+    """Remove an expression (A,) from a ``scanned`` head (V, 3), which ``identity`` (M,) fits best; returns (V, 3) mm.
 
-    The way from the fitted head with the expression to that without it is transferred to the head that was scanned.
+    The change from the fitted head with the expression to the one without it is transferred to the scanned head.
     """
     if not expression.any():
         return scanned

@@ -1,7 +1,7 @@
 """Judge a live frame of a face for the neutral scan: head angles, expression, sharpness, depth.
 
-Everything is judged from the 2D features against the model's neutral face seen under the same pose, so that turning the
-head changes nothing by itself. Lengths in pictures are given in eye distances, from outer corner to outer corner.
+The 2D features are compared with those of the model's neutral face in the same pose, so that turning the head alone changes
+nothing. Lengths in pictures are given in eye distances, from outer corner to outer corner.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 
-#: A lip gap this much wider than the neutral one, in eye distances: the mouth is open.
+#: The mouth is open if the gap of the lips exceeds the neutral one by this, in eye distances.
 MOUTH_OPEN = 0.06
-#: A mouth this much wider or narrower than the neutral one, as a share of it.
+#: Tolerance of the mouth's width, as a share of the neutral one.
 MOUTH_WIDTH = 0.25
-#: Lids closer than this share of the neutral gap are shut.
+#: The eyes are shut if the gap of the lids is less than this share of the neutral one.
 EYES_SHUT = 0.45
-#: Brows farther from or nearer to the eyes than the neutral ones, in eye distances.
+#: Tolerance of the brows' distance from the eyes, in eye distances.
 BROWS = 0.10
 
 
@@ -61,19 +61,19 @@ class Expression:
 
 
 def eye_distance(pixels: np.ndarray) -> float:
-    """Pixels between the outer corners of the eyes of features (40, 2); NaN where they are not seen."""
+    """Distance between the outer corners of the eyes of features (40, 2), px; NaN if they are not visible."""
     return float(np.linalg.norm(np.subtract(*pixels[_CORNERS])))
 
 
 def expression(features: Features2D, neutral_pixels: np.ndarray) -> Expression:
     """Compare detected features with the model's neutral ones (40, 2) projected by the frame's pose.
 
-    Features that are not seen take no part.
+    Invisible features are ignored.
     """
     seen, unit = np.where(features.valid[:, None], features.pixels, np.nan), max(eye_distance(neutral_pixels), 1.0)
 
     def both(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-        """The gap of the seen and of the neutral features."""
+        """The gaps of the visible and of the neutral features."""
         return _gap(seen, a, b), _gap(neutral_pixels, a, b)
 
     lips, lips_neutral = both(_UPPER_LIP, _LOWER_LIP)
@@ -90,7 +90,7 @@ def expression(features: Features2D, neutral_pixels: np.ndarray) -> Expression:
 
 
 def _gap(pixels: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """Mean distance of the features ``a`` from ``b``, px; NaN if none is seen."""
+    """Mean distance of the features ``a`` from ``b``, px; NaN if none is visible."""
     lengths = np.linalg.norm(pixels[a] - pixels[b], axis=1)
     lengths = lengths[np.isfinite(lengths)]
     return float(lengths.mean()) if len(lengths) else float("nan")
@@ -112,7 +112,7 @@ def sharpness(frame: RgbdFrame) -> float:
 
 
 def head_angles(pose: np.ndarray) -> tuple[float, float]:
-    """Degrees to the person's left and up, of a head-to-camera pose (4, 4), against the line to the camera."""
+    """Angles of a head-to-camera pose (4, 4) to the person's left and upwards from the line to the camera, degrees."""
     out, towards = pose[:3, 2], -pose[:3, 3] / max(np.linalg.norm(pose[:3, 3]), 1e-9)
     yaw = np.arctan2(out[0], -out[2]) - np.arctan2(towards[0], -towards[2])
     pitch = np.arcsin(np.clip(-out[1], -1, 1)) - np.arcsin(np.clip(-towards[1], -1, 1))
@@ -120,7 +120,7 @@ def head_angles(pose: np.ndarray) -> tuple[float, float]:
 
 
 def seen_by_depth(depth: np.ndarray, camera: Camera, points: np.ndarray, normals: np.ndarray, reach: float) -> np.ndarray:
-    """(n,) bool: camera-frame points, mm, that face the camera and have depth within ``reach`` mm of their own."""
+    """Which camera-frame points face the camera and have measured depth within ``reach`` mm of their own, (n,) bool."""
     facing = np.einsum("nd,nd->n", points, normals) < -0.25 * np.linalg.norm(points, axis=1)
     u, v = np.rint(camera.project(points)).astype(int).T
     inside: np.ndarray = facing & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)

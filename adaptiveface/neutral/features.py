@@ -1,8 +1,8 @@
-"""The 2D features of the neutral frames as constraints on the head, and their calibration for one person.
+"""Turn the 2D features of the neutral frames into constraints on the head, and calibrate them for one person.
 
-A feature seen at a pixel of frame k lies on a viewing ray. The mean over the frames of its squared distances to these
-rays is a quadratic form of its 3D position x, x.A x - 2 b.x + c, so that all frames together cost one (3, 3) matrix:
-the point-to-point 2D feature constraints of section 3.
+A feature at a pixel of frame k lies on a viewing ray. The mean of its squared distances to the rays of all frames is a
+quadratic form x.A x - 2 b.x + c of its 3D position x, so that all frames together need one (3, 3) matrix. These are the
+point-to-point 2D feature constraints of section 3.
 """
 
 from __future__ import annotations
@@ -20,11 +20,18 @@ from .fuse import FusedScan
 
 @dataclass(frozen=True)
 class FeatureConstraints:
-    """Mean squared distance of each feature to its viewing rays: energy x.A x - 2 b.x + c, in the scan frame, mm^2.
+    """Mean squared distances of the features to their viewing rays: x.A x - 2 b.x + c in the scan frame, mm^2.
 
-    A (40, 3, 3), b (40, 3), c (40,); weights (40,): accumulated confidence over the frames, 0 = never seen; trust in
-    [0, 1]: the highest confidence of any feature, what the source of the features says of itself; certainty (40,) in its
-    place where it is known feature by feature.
+    Attributes
+    ----------
+    A, b, c : (40, 3, 3), (40, 3), (40,)
+        Coefficients of the quadratic forms.
+    weights : (40,)
+        Sums of the confidences over the frames; 0 for a feature that was never seen.
+    trust : float
+        Highest confidence of any feature, in [0, 1], as the source of the features gives it.
+    certainty : (40,) or None
+        The trust of each feature, if it is known.
     """
 
     A: np.ndarray
@@ -36,37 +43,37 @@ class FeatureConstraints:
 
     @property
     def strength(self) -> np.ndarray:
-        """(40,) what each constraint counts: its certainty or else trust squared, 0 where never seen.
+        """Weights (40,) of the constraints: the certainty or the squared trust; 0 for features that were never seen.
 
-        A detector errs alike in all neutral frames, so that many frames are no better than one, and what it errs by goes
-        into the mesh for good. Squared, because that beat the trust itself (docs, paper-notes).
+        A detector makes the same error in all neutral frames, so that many frames are no better than one, and the error goes
+        into the mesh. The trust is squared because this was better than the trust itself (``docs/paper-notes.md``).
         """
         return self.seen * (self.trust**2 if self.certainty is None else self.certainty)
 
     @property
     def seen(self) -> np.ndarray:
-        """(40,) bool: the features with a constraint."""
+        """Which features have a constraint, (40,) bool."""
         return self.weights > 0
 
     def joined(self, other: FeatureConstraints) -> FeatureConstraints:
-        """These constraints, and then those of ``other``."""
+        """Return these constraints followed by those of ``other``."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in ("A", "b", "c", "weights", "strength"))
         A, b, c, weights, certainty = (np.concatenate(pair) for pair in pairs)
         return FeatureConstraints(A, b, c, weights, self.trust, certainty)
 
     def rms(self, points: np.ndarray) -> np.ndarray:
-        """(40,) root mean square distance of points (40, 3) in the scan frame to their rays, mm."""
+        """Root mean square distances (40,) of points (40, 3) in the scan frame from their rays, mm."""
         square = np.einsum("fi,fij,fj->f", points, self.A, points) - 2 * (self.b * points).sum(1) + self.c
         distances: np.ndarray = np.sqrt(np.maximum(square, 0.0))
         return distances
 
 
 def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray) -> FeatureConstraints:
-    """Gather the rays of the scan's frames, given the features' present position and normal (40, 3) in the scan frame.
+    """Gather the rays of the scan's frames from the features' current positions and normals (40, 3) in the scan frame.
 
-    A view weighs by how far the feature's skin is turned to it: detectors guess what is turned away. Half the skin's
-    normal, half the face's own direction, +z: inner lips have normals that no camera faces. Rays farther than three
-    robust standard deviations from their median are dropped.
+    The weight of a view depends on how far the feature's skin is turned to it, because detectors guess what is turned away. The
+    direction is the mean of the skin's normal and the face's direction, +z, because the normals of inner lips face no camera.
+    Rays that are farther than three robust standard deviations from their median are dropped.
     """
     facing = normals + [0.0, 0.0, 1.0]
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
@@ -90,7 +97,7 @@ def feature_constraints(scan: FusedScan, points: np.ndarray, normals: np.ndarray
 def _rays(
     scan: FusedScan, k: int, features: Features2D, points: np.ndarray, facing: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of frame k: ray origins (40, 3), unit directions (40, 3) in the scan frame, weights (40,)."""
+    """Origins (40, 3) and unit directions (40, 3) of frame k's rays in the scan frame, mm, and their weights (40,)."""
     rotation, translation = scan.poses[k][:3, :3], scan.poses[k][:3, 3]
     pixels = np.where(features.valid[:, None], features.pixels, 0.0)
     direction = scan.cameras[k].back_project(pixels, np.ones(len(pixels))) @ rotation
@@ -102,7 +109,7 @@ def _rays(
 
 
 def _without_outliers(points: np.ndarray, centre: np.ndarray, across: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Weights (K, 40) with the rays zeroed that lie far from where most frames see the feature."""
+    """Set the weights (K, 40) of rays to zero that lie far from those of most frames."""
     offset = np.einsum("kfij,kfj->kfi", across, points - centre)
     offset = np.where(weight[..., None] > 0, offset, np.nan)
     with np.errstate(all="ignore"):
@@ -116,7 +123,7 @@ def _without_outliers(points: np.ndarray, centre: np.ndarray, across: np.ndarray
 
 
 def constraints_on(scan: FusedScan, model: FaceModel, vertices: np.ndarray) -> FeatureConstraints:
-    """:func:`feature_constraints` of a head of the model at ``vertices`` (V, 3) in the scan frame."""
+    """Make :func:`feature_constraints` for a head of the model at ``vertices`` (V, 3) in the scan frame, mm."""
     normals = vertex_normals(vertices, model.triangles)
     places = model.feature_triangles, model.feature_weights
     return feature_constraints(scan, surface_points(vertices, *places), surface_points(normals, *places))
@@ -125,11 +132,26 @@ def constraints_on(scan: FusedScan, model: FaceModel, vertices: np.ndarray) -> F
 def calibrated_features(
     constraints: FeatureConstraints, model: FaceModel, vertices: np.ndarray, limit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move each feature on the surface to where this person's detections see it, at most ``limit`` mm away.
+    """Move each feature on the surface to the place of this person's detections.
 
-    A detector's idea of a feature differs a little from the model's, and from face to face, always alike: taken out in
-    the neutral, it does not pull at the expressions. vertices (V, 3) in the frame of the constraints. Returns feature
-    triangles (40, 3) and weights (40, 3); features never seen stay.
+    A detector's features differ a little from those of the model. The difference varies between faces, but is constant on one
+    face. If it is removed in the neutral, it does not pull at the expressions.
+
+    Parameters
+    ----------
+    constraints : FeatureConstraints
+        From the frames of the scan.
+    model : FaceModel
+        Has the mesh and the features.
+    vertices : (V, 3)
+        The head in the frame of the constraints, mm.
+    limit : float
+        Largest shift of a feature, mm.
+
+    Returns
+    -------
+    triangles, weights : (40, 3) int, (40, 3)
+        New places of the features. Features that were never seen are unchanged.
     """
     triangles, feature_triangles = model.triangles, model.feature_triangles
     triangles_out, weights_out = feature_triangles.copy(), np.array(model.feature_weights, float)
@@ -142,7 +164,7 @@ def calibrated_features(
         points = np.einsum("sk,tkd->tsd", samples, vertices[near])
         away = ((points - home[f]) ** 2).sum(axis=2)
         energy = np.einsum("tsi,ij,tsj->ts", points, constraints.A[f], points) - 2 * points @ constraints.b[f]
-        # A slight pull home decides along the viewing ray, which the detections leave open.
+        # A slight pull to the old place decides along the viewing ray, about which the detections say nothing.
         energy = np.where(away <= limit**2, energy + 0.01 * away, np.inf)
         t, s = np.unravel_index(np.argmin(energy), energy.shape)
         if np.isfinite(energy[t, s]):
@@ -150,17 +172,18 @@ def calibrated_features(
     return triangles_out, weights_out
 
 
-#: Frames of a neutral scan count as at most this many independent ones for the place of a landmark.
+#: Largest number of independent frames that a neutral scan counts as for the place of a landmark.
 INDEPENDENT = 40.0
-#: Along the view landmarks lie apart between persons this many times as far as across it.
+#: Differences of landmarks between people are larger along the view than across it by this factor.
 ALONG = 1.0
 
 
 def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray) -> FeatureSet | None:
-    """The model's landmarks with the offsets at which this person's detections see them in the frames of the scan.
+    """Give the model's landmarks the offsets of this person's detections in the frames of the scan.
 
-    vertices (V, 3) in the scan frame, which is the head's. What is held out of fits keeps the offset that it has on
-    everybody, so that it goes on measuring. Unchanged for frames that no detector has seen, None for a model without any.
+    Landmarks that no fit uses keep their common offsets, so that they still measure the fit. Nothing changes if no detector has
+    seen the frames. The result is None for a model without landmarks. ``vertices`` (V, 3) are in the scan frame, which is that
+    of the head, mm.
     """
     landmarks = model.landmarks
     if landmarks is None or not _detected(scan):
@@ -177,22 +200,23 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
     return replace(landmarks, offset=np.where(landmarks.held_out[:, None], landmarks.offset, offset))
 
 
-#: Where the 40 features have no point and a depth camera sees little. Not the forehead, where hair may hide the skin.
+#: Regions in which the 40 features have no point and a depth camera sees little. The forehead is left out, because hair may
+#: hide it.
 CONTOUR = ("chin", "jaw", "cheeks")
-#: A landmark counts where it is farther off than this many of its deviations, and only by the excess. A smaller distance may be
-#: the detector's own idea of where a cheek lies, and the scan knows better.
+#: A landmark only counts if its distance exceeds this many of its deviations, and only by the excess. A smaller distance may be
+#: due to the detector, and the scan is more accurate.
 TOLERATED = 2.5
 
-#: Triangles (F, 3) and weights (F, 3) of features on the mesh, and their constraints.
+#: Triangles (F, 3) and weights (F, 3) of the features on the mesh, and their constraints.
 Evidence = tuple[np.ndarray, np.ndarray, FeatureConstraints]
 
 
 def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, rotation: np.ndarray, contour: bool) -> Evidence:
-    """What pictures say of a head at ``vertices`` (V, 3) in the scan frame, turned by ``rotation`` (3, 3) from the head frame.
+    """Gather what pictures show of a head at ``vertices`` (V, 3) in the scan frame, turned by ``rotation`` (3, 3).
 
-    The 40 features have no point on chin, jaw and cheeks. A depth camera measures little of skin that is turned away, so
-    that real heads got the average person's jaw. ``contour`` adds the detector's landmarks on these regions, where a
-    detector has seen the frames and the model has landmarks.
+    The 40 features have no point on chin, jaw and cheeks, and a depth camera measures little of skin that is turned away, so
+    that real heads got the jaw of the average person. ``contour`` adds the detector's landmarks in these regions, if a detector
+    has seen the frames and the model has landmarks. ``rotation`` turns the head frame into the scan frame.
     """
     features = constraints_on(scan, model, vertices)
     own = model.feature_triangles, model.feature_weights, features
@@ -203,7 +227,7 @@ def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, ro
         return own
     found = _landmark_constraints(scan, _landmarks_seen(scan, landmarks), landmarks, model, vertices)
     offset = landmarks.offset @ rotation.T
-    # The detector sees x + o, and (x + o).A (x + o) - 2 b.(x + o) equals x.A x - 2 (b - A o).x but for a constant.
+    # The detector sees x + o, and (x + o).A (x + o) - 2 b.(x + o) equals x.A x - 2 (b - A o).x up to a constant.
     found = replace(found, b=found.b - np.einsum("fij,fj->fi", found.A, offset))
     deviation = np.sqrt(landmarks.personal**2 + landmarks.deviations(0.0) ** 2)
     # An offset that the 40 features share comes from colour that is not aligned to the depth, not from the head's shape.
@@ -217,7 +241,7 @@ def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, ro
 
 
 def _off(constraints: FeatureConstraints, points: np.ndarray) -> np.ndarray:
-    """(F, 3) mm across the view: from where points (F, 3) are seen to the points."""
+    """Vectors (F, 3) across the view from the seen places of points (F, 3) to the points, mm."""
     offsets: np.ndarray = np.einsum("fij,fj->fi", constraints.A, points) - constraints.b
     return offsets
 
@@ -227,7 +251,7 @@ def _detected(scan: FusedScan) -> bool:
 
 
 def _landmarks_seen(scan: FusedScan, landmarks: FeatureSet) -> list[Features2D | None]:
-    """The landmarks in every frame of the scan, with their inverse variances as confidence."""
+    """The landmarks in every frame of the scan, with their inverse variances as confidences."""
     seen: list[Features2D | None] = []
     for features, pose in zip(scan.features, scan.poses, strict=True):
         pixels = None if features is None else landmarks.pixels(features)
@@ -238,7 +262,7 @@ def _landmarks_seen(scan: FusedScan, landmarks: FeatureSet) -> list[Features2D |
 def _turned_back(
     scan: FusedScan, seen: list[Features2D | None], landmarks: FeatureSet, points: np.ndarray
 ) -> list[Features2D | None]:
-    """Landmarks without what the detector's mesh turns too far, which is no person's own; ``points`` (L, 3) head frame, mm."""
+    """Correct the landmarks for the detector's common error of turn; ``points`` (L, 3) are in the head frame, mm."""
     excess = replace(landmarks, offset=np.zeros_like(landmarks.offset))
     return [
         None if features is None else replace(features, pixels=features.pixels - excess.slides(pose, camera, points))
@@ -254,7 +278,7 @@ def _landmark_constraints(
 
 
 def surface_patch(triangles: np.ndarray, vertices: np.ndarray, start: np.ndarray, home: np.ndarray, limit: float) -> np.ndarray:
-    """Triangles (t, 3) connected to the ``start`` triangle within ``limit`` mm: never the other lip."""
+    """Triangles (t, 3) that are connected to the ``start`` triangle within ``limit`` mm, so that none is on the other lip."""
     close = ((vertices - home) ** 2).sum(axis=1) <= limit**2
     reached = np.zeros(len(vertices), bool)
     reached[start] = True
@@ -270,7 +294,7 @@ def surface_patch(triangles: np.ndarray, vertices: np.ndarray, start: np.ndarray
 
 
 def _barycentric_grid(steps: int) -> np.ndarray:
-    """(n, 3) evenly spread barycentric weights of a triangle, corners included."""
+    """Evenly spread barycentric weights (n, 3) in a triangle, including its corners."""
     i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
     inside = i + j <= steps
     return np.stack([i[inside], j[inside], steps - i[inside] - j[inside]], axis=1) / steps

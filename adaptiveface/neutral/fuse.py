@@ -1,4 +1,4 @@
-"""Section 3, first step: depth frames of the neutral face, registered and merged into one scan."""
+"""Register depth frames of the neutral face and merge them into one scan (section 3, first step)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class FusedScan:
     weights : (P,)
         Accumulated view weight, about the number of frames that saw the point.
     frames : (K,) int
-        Which frames were used, by their position in the sequence.
+        Numbers of the used frames in the sequence.
     poses : (K, 4, 4)
         Scan frame to camera frame of each, mm.
     residuals : (K,)
@@ -55,7 +55,7 @@ class FusedScan:
     cameras : sequence of Camera
         The calibration of each.
     noise : float
-        What the frames' noise left in the points, mm; 0 where that is not known.
+        Noise that remains in the points, mm; 0 if it is not known.
     """
 
     points: np.ndarray
@@ -69,24 +69,32 @@ class FusedScan:
     noise: float = 0.0
 
     def mesh(self) -> PolyData:
-        """The points as ``pyvista.PolyData`` in mm: x out of the face, y to the subject's left, z up.
+        """Return the points for pyvista.
 
-        Arrays: ``normals`` (P, 3), ``views`` (P,): about the number of frames that saw the point. Raises
-        :class:`MissingExtraError` without pyvista.
+        Returns
+        -------
+        pyvista.PolyData
+            Points in mm: x points out of the face, y to the subject's left, z up. The arrays are ``normals`` (P, 3) and
+            ``views`` (P,), about the number of frames that saw the point.
+
+        Raises
+        ------
+        MissingExtraError
+            pyvista is not installed.
         """
         return cloud(self.points, self.normals, views=self.weights)
 
 
 def head_box(model: FaceModel, margin: float) -> np.ndarray:
-    """(2, 3) corners of the model's frontal region, widened by ``margin`` mm: what belongs to the head."""
+    """Corners (2, 3) of the box that belongs to the head: the model's frontal region, widened by ``margin`` mm."""
     face = model.mean[model.frontal]
     return np.stack([face.min(axis=0) - margin, face.max(axis=0) + margin])
 
 
 def most_frontal(frames: Mapping[int, RgbdFrame], feature_points: np.ndarray) -> tuple[int, np.ndarray]:
-    """Number of the frame whose features show the face most from the front, and its pose (4, 4).
+    """Number of the most frontal frame, by its features, and its pose (4, 4).
 
-    Raises :class:`TrackingError` when no frame has usable features.
+    Raises :class:`TrackingError` if no frame has usable features.
     """
     best = None
     for number, frame in frames.items():
@@ -151,7 +159,7 @@ def fuse_frames(
 
 
 def _readable(frames: Sequence[RgbdFrame]) -> dict[int, RgbdFrame]:
-    """The frames that can be read, by number, without their colour (it would only fill the memory)."""
+    """The readable frames by number, without their colour, which would only fill the memory."""
     out = {}
     for number in range(len(frames)):
         try:
@@ -164,7 +172,7 @@ def _readable(frames: Sequence[RgbdFrame]) -> dict[int, RgbdFrame]:
 def _first_pass(
     frames: dict[int, RgbdFrame], feature_points: np.ndarray, box: np.ndarray, parameters: FusionParameters, report: Progress
 ) -> dict[int, Placed]:
-    """Grow the surface from the most frontal frame; the registered frames by number."""
+    """Grow the surface from the most frontal frame, and return the registered frames by number."""
     first, pose = most_frontal(frames, feature_points)
     view = depth_view(frames[first], pose, box)
     if view is None:
@@ -246,10 +254,10 @@ def _merged(
 
 
 def _noise_left(residuals: np.ndarray, pixels: Sequence[float], weights: np.ndarray) -> float:
-    """Noise of the merged points, mm: that of one frame, over the root of how many frames saw a point.
+    """Noise of the merged points, mm: that of one frame divided by the root of the number of frames that saw a point.
 
-    A frame's noise is how far it lies from the merged surface (K residuals), of which it is a part itself. What a pixel
-    lies off its neighbours (K) is less than that, but known for a single frame, too.
+    The noise of a frame is its distance from the merged surface (K residuals), of which the frame is a part. The distance of a
+    pixel from its neighbours (K) is less than that, but is also known for a single frame.
     """
     count = len(residuals)
     apart = float(np.median(residuals)) * np.sqrt(count / max(count - 1, 1))
@@ -274,7 +282,7 @@ def _model_points(volume: TsdfVolume, parameters: FusionParameters) -> tuple[np.
 
 
 def in_head_frame(scan: FusedScan, head_from_scan: np.ndarray) -> FusedScan:
-    """The same scan in another frame: (4, 4) scan to head."""
+    """Return the same scan in another frame; the pose (4, 4) is scan to head."""
     scan_from_head = np.linalg.inv(head_from_scan)
     return replace(
         scan,

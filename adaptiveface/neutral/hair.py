@@ -1,8 +1,8 @@
-"""Remove hair, hands and scarves from the scan: things that hang into the face must not become part of the neutral.
+"""Remove hair, hands and scarves from the scan, so that they do not become part of the neutral.
 
-The head of the identity modes lies within a millimetre or two of skin wherever people have been measured; hair stands out
-from it by a centimetre. So points of the scan that stand out far are not skin where they hang together with what lies
-around the face. A nose that stands out is an island in the face, and stays.
+On all measured people, the head of the identity modes lies within a millimetre or two of the skin, and hair stands out from it
+by a centimetre. Points of the scan that stand out far are therefore not skin if they are connected with the surroundings of the
+face. A nose that stands out is an island in the face, and is kept.
 """
 
 from __future__ import annotations
@@ -18,24 +18,40 @@ from ..geometry.mesh import grow, vertex_normals
 from ..model.face_model import FaceModel
 from .fuse import FusedScan
 
-#: Points nearer to each other than this are connected and averaged, mm.
+#: Points within this distance of each other are connected and averaged, mm.
 TOGETHER = 6.0
-#: Hair thins out into the skin: near points that stand out far, within the second number of mm, those that stand out by
-#: this share of what counts as far belong to it.
+#: Hair thins out towards the skin. Points that stand out by this share of the limit are also hair if they lie within the second
+#: number (mm) of points beyond the limit.
 THIN, SEAM = 0.4, 15.0
-#: Vertices within this many rings of hair count as lying under it, because hair is sparse.
+#: Vertices within this many rings of hair count as covered by it, because hair is sparse.
 SHADOW = 3
-#: The face's rim is this many rings of vertices wide. Of what is left out at least this share must lie on the face: a neck
-#: that is held in another way than the model's does no harm.
+#: Width of the face's rim in rings of vertices, and the smallest share of removed points that must lie on the face. A neck that
+#: is bent unlike the model's is therefore not removed.
 RIM, ON_FACE = 3, 0.05
-#: Points farther from the head than this are another thing altogether, mm; they are left to the limits of the searches.
+#: Points farther from the head than this are something else, mm. The limits of the searches exclude them.
 FARTHEST = 40.0
 
 
 def without_hair(scan: FusedScan, model: FaceModel, head: np.ndarray, limit: float) -> tuple[FusedScan, np.ndarray]:
-    """The scan without its hair, and the vertices (V,) bool of ``head`` (V, 3), in the scan's frame, that lie under it.
+    """Remove the hair from a scan.
 
-    Hair stands out from the head by more than ``limit`` mm. The very same scan where there is none, or for a limit of 0.
+    Parameters
+    ----------
+    scan : FusedScan
+        The merged scan.
+    model : FaceModel
+        Has the mesh of the head and the face's region.
+    head : (V, 3)
+        The fitted head in the scan's frame, mm.
+    limit : float
+        Hair stands out from the head by more than this, mm; 0 removes nothing.
+
+    Returns
+    -------
+    scan : FusedScan
+        Without hair; the same object if there is none.
+    under : (V,) bool
+        Vertices of the head under hair.
     """
     under = np.zeros(len(head), bool)
     if limit == 0:
@@ -50,9 +66,9 @@ def without_hair(scan: FusedScan, model: FaceModel, head: np.ndarray, limit: flo
 
 
 def hair_points(points: np.ndarray, model: FaceModel, head: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """(P,) bool: which of the scan's ``points`` (P, 3) :func:`without_hair` leaves out; (P,) int: the nearest vertex of each.
+    """Which points (P, 3) :func:`without_hair` removes, (P,) bool, and the vertex nearest to each point, (P,) int.
 
-    Those that stand out far, those around them that stand out less, and only where they reach beyond the face's rim.
+    It removes points that stand out far and points around them that stand out less, if they reach beyond the face's rim.
     """
     away, nearest = cKDTree(head).query(points)
     normals = vertex_normals(head, model.triangles)
@@ -73,7 +89,7 @@ def hair_points(points: np.ndarray, model: FaceModel, head: np.ndarray, limit: f
 
 
 def _hanging_in(joined: sp.csr_matrix, loose: np.ndarray, far: np.ndarray, rim: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """(P,) bool: ``loose`` points whose connected part holds a ``far`` one, one at the ``rim``, and enough on the ``face``."""
+    """Which ``loose`` points have a ``far`` one, one at the ``rim`` and enough on the ``face`` in their connected part."""
     rows = np.flatnonzero(loose)
     count, part = connected_components(joined[rows][:, rows], directed=False)
     kept = np.bincount(part, far[rows], count) > 0

@@ -1,9 +1,9 @@
-"""Whether a captured head can be a person's: its size, the identity coefficients, and how it lies on the scan.
+"""Tell whether a captured head can be a person's, by its size, its identity coefficients and its fit to the scan.
 
-Depth with a wrong unit gives a head of the wrong size, in perfect agreement with itself. Measured on three people and a
-mannequin with detected features, and on synthetic performers: faces are 0.91 to 1.13 times the model's (a child of five
-has 0.84), root mean square coefficients 0.6 to 2.0, at most 6.6; a unit wrong by two gives 1.8 to 2.2 times, and
-coefficients of 3.4 to 6.4, up to 17.
+Depth with a wrong unit gives a head of the wrong size that fits perfectly. The limits were measured on three people and a
+mannequin with detected features, and on synthetic performers. Their faces are 0.91 to 1.13 times as large as the model's (that
+of a child of five: 0.84). Their coefficients have root mean squares of 0.6 to 2.0 and are at most 6.6. A unit that is wrong by
+a factor of two gives sizes of 1.8 to 2.2, and coefficients of 3.4 to 6.4, up to 17.
 """
 
 from __future__ import annotations
@@ -25,43 +25,44 @@ from ..tracking.detection import measured_size
 if TYPE_CHECKING:
     from .fit import IdentityFit
 
-#: Size of a face as a share of the average one's: no person's beyond the first pair, doubtful beyond the second.
+#: Size of a face relative to the average one. Beyond the first limits it is not a person's, and beyond the second ones it is
+#: doubtful.
 POSSIBLE, USUAL = (0.65, 1.35), (0.87, 1.14)
 #: The same before the head is fitted, when only the features are known.
 POSSIBLE_FEATURES = (0.6, 1.55)
-#: Most standard deviations of the identity coefficients, root mean square and of any; most distance from the scan, mm.
+#: Largest identity coefficients in standard deviations (root mean square, single one); largest distance from the scan, mm.
 MOST_IDENTITY, MOST_COEFFICIENT, MOST_RESIDUAL = 3.2, 10.5, 2.5
-#: Size of the face in a recording as a share of the actor's that a person's own actor cannot have: nothing fits.
+#: Size of the face in a recording relative to the actor's, beyond which it cannot be the same person.
 SAME_PERSON = (0.7, 1.4)
-#: Frames from whose features the size is measured.
+#: Number of frames whose features give the size.
 SAMPLE = 15
-#: Units per metre that depth images have in practice.
+#: Usual numbers of depth units per metre.
 USUAL_UNITS = (100.0, 1000.0, 2000.0, 4000.0, 5000.0, 8000.0, 10_000.0, 100_000.0)
 _log = logging.getLogger(__name__)
 
 
 class ImplausibleFaceError(TrackingError):
-    """The head that was captured is no person's; ``size``: how many times the average one's it is, 1 where that is well."""
+    """The captured head cannot be a person's. ``size`` is relative to the average one, or 1 if the size is not the reason."""
 
     def __init__(self, message: str, size: float = 1.0) -> None:
         super().__init__(message)
         self.size = size
 
     def of(self, source: Any) -> ImplausibleFaceError:
-        """The same error, with the name of the ``source`` (or None) and what is probably wrong with its depth."""
+        """Return the same error with the name of the ``source`` (or None) and the likely fault of its depth."""
         name = f"{source.name}: " if source is not None else ""
         return ImplausibleFaceError(f"{name}{self}{likely_unit(source, self.size)}", self.size)
 
 
 def check_features(frames: Sequence[RgbdFrame], model: FaceModel) -> None:
-    """Raise :class:`ImplausibleFaceError` where the depth at the features of ``frames`` makes a face of a size nobody has."""
+    """Raise :class:`ImplausibleFaceError` if the depth at the frames' features gives a size that no face has."""
     size = median_size(frames, surface_points(model.mean, model.feature_triangles, model.feature_weights))
     if not np.isnan(size) and not POSSIBLE_FEATURES[0] < size < POSSIBLE_FEATURES[1]:
         raise ImplausibleFaceError(f"the face is {size:.2g} times as large as a person's", size)
 
 
 def median_size(frames: Sequence[RgbdFrame], feature_points: np.ndarray) -> float:
-    """Median of :func:`measured_size` over some of the ``frames``, spread over them; NaN where none tells it."""
+    """Median of :func:`measured_size` over some of the frames, spread evenly; NaN if no frame shows it."""
     seen = [frame for frame in frames if frame.features is not None]
     sizes = [measured_size(frame, feature_points) for frame in seen[:: max(1, len(seen) // SAMPLE)]]
     sizes = [size for size in sizes if not np.isnan(size)]
@@ -69,13 +70,13 @@ def median_size(frames: Sequence[RgbdFrame], feature_points: np.ndarray) -> floa
 
 
 def face_size(model: FaceModel, vertices: np.ndarray) -> tuple[float, float, float]:
-    """Size of a head (V, 3) as a share of the model's average, and the width and height of its face, mm."""
+    """Size of a head (V, 3) relative to the model's average, and the width and height of its face, mm."""
     (width, height, _), average = (np.ptp(shape[model.frontal], axis=0) for shape in (vertices, model.mean))
     return float(np.sqrt(width * height / (average[0] * average[1]))), float(width), float(height)
 
 
 def check_fit(fit: IdentityFit, model: FaceModel) -> None:
-    """Raise :class:`ImplausibleFaceError` for a fitted head that is no person's."""
+    """Raise :class:`ImplausibleFaceError` for a fitted head that cannot be a person's."""
     size, width, height = face_size(model, fit.vertices)
     measured = f"the face is {width:.0f} mm wide and {height:.0f} mm high, {size:.2g} times the average one's"
     if not POSSIBLE[0] < size < POSSIBLE[1]:
@@ -88,7 +89,7 @@ def check_fit(fit: IdentityFit, model: FaceModel) -> None:
 
 
 def check_identity(identity: np.ndarray, size: float = 1.0) -> None:
-    """Raise :class:`ImplausibleFaceError` for identity coefficients (M,), standard deviations, that nobody has."""
+    """Raise :class:`ImplausibleFaceError` for identity coefficients (M,), in standard deviations, that nobody has."""
     spread, most = float(np.sqrt(np.mean(np.square(identity)))), float(np.abs(identity).max(initial=0.0))
     if spread > MOST_IDENTITY or most > MOST_COEFFICIENT:
         raise ImplausibleFaceError(
@@ -98,7 +99,7 @@ def check_identity(identity: np.ndarray, size: float = 1.0) -> None:
 
 
 def likely_unit(source: Any, size: float) -> str:
-    """What to do about a face that is ``size`` times too large in the depth of ``source``, or ""."""
+    """Advice on a face that is ``size`` times too large in the depth of a source, or ""."""
     if np.isnan(size) or USUAL[0] < size < USUAL[1]:
         return ""
     known = Abilities.of(source)
@@ -112,7 +113,7 @@ def likely_unit(source: Any, size: float) -> str:
 
 
 def say_doubtful_size(source: Any, model: FaceModel, vertices: np.ndarray) -> None:
-    """Warn of a head (V, 3) that few people have."""
+    """Warn about a head (V, 3) that few people have."""
     size, width, height = face_size(model, vertices)
     if doubt := likely_unit(source, size):
         name = f"{source.name}: " if source is not None else ""
@@ -128,10 +129,10 @@ def say_doubtful_size(source: Any, model: FaceModel, vertices: np.ndarray) -> No
 
 
 class SizeWatch:
-    """Compares the faces of a source with the actor that is tracked in it, once, after the first ``SAMPLE`` of them.
+    """Compares the first ``SAMPLE`` faces of a source once with the actor that is tracked in it.
 
-    :meth:`see` raises :class:`ImplausibleFaceError` where depth makes the face so much larger or smaller than the actor
-    that it cannot be the same person, and warns where that is doubtful.
+    :meth:`see` raises :class:`ImplausibleFaceError` if the depth shows a face so much larger or smaller than the actor that it
+    cannot be the same person, and warns if that is doubtful.
     """
 
     def __init__(self, source: Any, actor: Actor) -> None:
@@ -141,7 +142,7 @@ class SizeWatch:
         self._done = Abilities.of(source).colour_only
 
     def see(self, frame: RgbdFrame) -> None:
-        """Take a frame with features into account."""
+        """Add a frame with features."""
         if self._done:
             return
         size = measured_size(frame, self._points)
@@ -151,7 +152,7 @@ class SizeWatch:
             self.judge()
 
     def judge(self) -> None:
-        """Say what the frames so far tell, if it was not said yet."""
+        """Judge the frames so far, unless this was already done."""
         if self._done or not self._sizes:
             return
         self._done, size = True, float(np.median(self._sizes))

@@ -1,7 +1,7 @@
-"""Rigid registration of one depth frame to a model surface by fast ICP (Rusinkiewicz & Levoy 2001; paper, section 3).
+"""Register one depth frame rigidly to a model surface by fast ICP (Rusinkiewicz & Levoy 2001; paper, section 3).
 
-"Fast" is projective data association: a model point meets the depth pixel it projects to, so no search tree is needed;
-the metric is point-to-plane. Poses are (4, 4) matrices that bring model points into the camera frame, millimetres.
+It is fast because of projective data association: a model point is matched with the depth pixel to which it projects, so that
+no search tree is needed. The metric is point-to-plane. Poses are (4, 4) matrices from the model frame to the camera frame, mm.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ..registration.icp import icp, last
 from ..registration.step import motion_of, rigid_jacobian
 
 MIN_CORRESPONDENCES = 200
-_CONVERGED = 0.05  # mm; below it the nearest pixels change at random
-_DEPTH_JUMP = 10.0  # mm between neighbouring pixels: an occlusion boundary, where depth and normal are unreliable
+_CONVERGED = 0.05  # mm; smaller changes of the nearest pixels are random
+_DEPTH_JUMP = 10.0  # mm between neighbouring pixels; a larger step is an occlusion boundary with unreliable depth and normals
 
 
 @dataclass(frozen=True)
 class DepthView:
-    """The head's part of a depth frame, as registration and integration read it.
+    """The head's part of a depth frame, which registration and integration read.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class DepthView:
 
     @property
     def noise(self) -> float:
-        """By how much a pixel is off its neighbours, mm: median of the second differences along the rows; 0 for no three."""
+        """Median of the second differences along the rows, mm, which is the noise of a pixel; 0 without three neighbours."""
         depth, valid = self.points[..., 2], self.valid
         together = valid[:, 2:] & valid[:, 1:-1] & valid[:, :-2]
         bends = (depth[:, 2:] - 2.0 * depth[:, 1:-1] + depth[:, :-2])[together]
@@ -55,7 +55,7 @@ class DepthView:
 
 @dataclass(frozen=True)
 class Registration:
-    """What :func:`align` found.
+    """The result of :func:`align`.
 
     Attributes
     ----------
@@ -64,9 +64,9 @@ class Registration:
     residual : float
         Median absolute point-to-plane distance, mm.
     overlap : float
-        Share of the model points turned to the camera that found a partner.
+        Share of the model points turned to the camera that have a match.
     correspondences : int
-        Their number.
+        Number of matches.
     """
 
     pose: np.ndarray
@@ -82,9 +82,9 @@ class Pairs:
     Attributes
     ----------
     points, normals : (n, 3)
-        Of the model, mm, and unit length.
+        Points of the model, mm, and their unit normals.
     distances : (n,)
-        Signed, from the depth along the model's normal, mm.
+        Signed distances from the depth along the model's normals, mm.
     cosines : (n,)
         Of the viewing angle.
     visible : int
@@ -99,9 +99,9 @@ class Pairs:
 
 
 def depth_view(frame: RgbdFrame, pose: np.ndarray, box: np.ndarray) -> DepthView | None:
-    """The pixels of ``frame`` that lie in ``box`` (2, 3) (corners in the model frame, mm) under ``pose``.
+    """Crop a frame to the pixels inside ``box`` (2, 3), whose corners are in the model frame, mm, at ``pose``.
 
-    None when the box falls outside the image or holds no depth.
+    The result is None if the box lies outside the image or contains no depth.
     """
     corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     corners = transform_points(pose, corners)
@@ -136,7 +136,7 @@ def _surface(depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray,
     nearest = cv2.erode(depth, kernel, borderValue=0)
     farthest = cv2.dilate(depth, kernel)
     slope = np.abs((normals * rays).sum(axis=2)) / np.linalg.norm(rays, axis=2)
-    # A steep but continuous surface also makes large steps: allow what its slope explains.
+    # A steep but continuous surface also makes large steps, so steps that its slope explains are allowed.
     step = 2.0 * depth / camera.fx / np.maximum(slope, 0.1)
     valid = (nearest > 0) & (farthest - nearest < np.maximum(_DEPTH_JUMP, 1.5 * step)) & (length > 0)
     return (rays * depth[..., None]).astype(np.float32), normals.astype(np.float32), valid
@@ -147,15 +147,15 @@ def align(
 ) -> Registration:
     """Register the model surface to a depth view.
 
-    Each iteration pairs every model point that is turned to the camera with the pixel that it projects to. It rejects pairs
+    Each iteration pairs every model point that is turned to the camera with the pixel to which it projects. It rejects pairs
     by distance, normal and boundary, and takes one Gauss-Newton step on the robust point-to-plane energy.
 
     Parameters
     ----------
     view : DepthView
-        The depth to register to.
+        The measured depth.
     points, normals : (n, 3)
-        Of the model surface, model frame, mm, and unit length.
+        Points of the model surface in the model frame, mm, and their unit normals.
     pose : (4, 4)
         The start, model frame to camera frame, mm.
     parameters : FusionParameters
@@ -189,7 +189,7 @@ def _count(pairs: Pairs) -> int:
 def evaluate(
     view: DepthView, pose: np.ndarray, points: np.ndarray, normals: np.ndarray, parameters: FusionParameters
 ) -> Registration:
-    """How well a pose brings the model surface onto a depth view."""
+    """Measure how well a pose fits the model surface to a depth view."""
     pairs = correspondences(view, points, normals, pose, parameters.max_correspondence_distance, parameters)
     count = len(pairs.distances)
     overlap = count / max(pairs.visible, 1)
@@ -203,7 +203,7 @@ def correspondences(
 ) -> Pairs:
     """Projective data association of model points, normals (n, 3) with the pixels of a view.
 
-    Rejected: partners farther than ``limit`` mm, invalid or boundary pixels, and normals that disagree.
+    Matches farther than ``limit`` mm, invalid pixels, boundary pixels and normals that disagree are rejected.
     """
     turned = normals @ pose[:3, :3].T
     moved = transform_points(pose, points)
@@ -226,9 +226,9 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _point_to_plane_step(pairs: Pairs, scale: float) -> tuple[np.ndarray, float]:
-    """(4, 4) small motion that minimises sum w (n . (omega x p + t) + d)^2 (Chen & Medioni 1992), and its size in mm.
+    """Find the small motion (4, 4) that minimises sum w (n . (omega x p + t) + d)^2 (Chen & Medioni 1992), and its size, mm.
 
-    w: the cosine of the viewing angle (grazing depth is noisy) times Tukey's weight for distances beyond ``scale``.
+    The weight w is the cosine of the viewing angle, because grazing depth is noisy, times Tukey's weight for ``scale``.
     """
     weight = pairs.cosines * np.clip(1.0 - (pairs.distances / (1.5 * scale)) ** 2, 0.0, None) ** 2
     centre = pairs.points.mean(axis=0)
@@ -243,10 +243,10 @@ def _point_to_plane_step(pairs: Pairs, scale: float) -> tuple[np.ndarray, float]
 
 
 def feature_pose(frame: RgbdFrame, feature_points: np.ndarray, features: Features2D | None = None) -> np.ndarray | None:
-    """(4, 4) pose of a head with its features at ``feature_points`` (40, 3) from a frame's 2D features; None if unseen.
+    """Find the pose (4, 4) of a head with features at ``feature_points`` (40, 3) mm from 2D features; None if unseen.
 
-    Perspective-n-point gives the rotation; measured depth then fixes the distance, which the unknown size of the head
-    leaves open.
+    Perspective-n-point gives the rotation. The measured depth then gives the distance, because the size of the head is
+    unknown.
     """
     features = frame.features if features is None else features
     if features is None or features.valid.sum() < 8:

@@ -1,8 +1,8 @@
-"""Section 3, third step: shrink-wrap by non-rigid ICP, for what the identity modes cannot hold (Li et al. 2009).
+"""Shrink-wrap by non-rigid ICP, for what the identity modes cannot express (section 3, third step; Li et al. 2009).
 
-Coarse: a deformation graph whose nodes carry affine transforms; every node stays near a rotation (E_rigid) and near its
-neighbours (E_smooth), both relaxed from round to round while the mesh approaches the scan. Fine: displacements of the
-vertices along their normals, smooth where the scan says nothing (Li et al. 2009, detail synthesis).
+The coarse step uses a deformation graph whose nodes have affine transforms. Every node stays near a rotation (E_rigid) and near
+its neighbours (E_smooth). Both are relaxed from round to round while the mesh approaches the scan. The fine step displaces the
+vertices along their normals, smoothly where the scan has no points (Li et al. 2009, detail synthesis).
 """
 
 from __future__ import annotations
@@ -35,10 +35,20 @@ DEFAULTS = ShrinkWrapParameters()
 
 @dataclass(frozen=True)
 class ShrinkWrap:
-    """Result of :func:`shrink_wrap`.
+    """The result of :func:`shrink_wrap`.
 
-    vertices (V, 3) mm in the scan's frame; coarse (V, 3): after the deformation graph alone; matched (V,) bool;
-    residual: median point-to-plane distance to the scan over the matched vertices, mm; history (I,): per round.
+    Attributes
+    ----------
+    vertices : (V, 3)
+        The wrapped mesh in the scan's frame, mm.
+    coarse : (V, 3)
+        The mesh after the deformation graph alone, mm.
+    matched : (V,) bool
+        Vertices that are matched with the scan.
+    residual : float
+        Median point-to-plane distance of the matched vertices from the scan, mm.
+    history : (I,)
+        The residual after each round, mm.
     """
 
     vertices: np.ndarray
@@ -62,13 +72,13 @@ def shrink_wrap(
     scan : FusedScan
         The merged neutral scan.
     model : FaceModel
-        The mesh that is warped; its rims and contacts.
+        Has the mesh, its rims and its contacts.
     vertices : (V, 3)
         The fitted head, in the scan's frame, mm.
     parameters : ShrinkWrapParameters
         Weights and limits.
     hair : (V,) bool, optional
-        Vertices that lie under hair. They meet no scan, and keep the shape that was fitted.
+        Vertices under hair. They are not matched with the scan, and keep the fitted shape.
 
     Returns
     -------
@@ -91,12 +101,12 @@ def shrink_wrap(
 
 
 def smoothed(parameters: ShrinkWrapParameters, noise: float) -> ShrinkWrapParameters:
-    """The parameters for a scan whose points are off by ``noise`` mm, unchanged below ``parameters.noise``.
+    """Adapt the parameters to a scan whose points have ``noise`` mm. They do not change below ``parameters.noise``.
 
-    The scan's term counts by one over its variance, the smoothness of skin stays what it is (a maximum a posteriori
-    estimate): so the smoothness of the fine step would grow with the square of the noise. A node of the graph follows the
-    mean of many points, whose errors cancel, and every fine step that of its neighbourhood: powers of 0.5 and 1.6 keep the
-    mesh on the depth (measured).
+    In a maximum a posteriori estimate, the weight of the scan is one over its variance, and the smoothness of skin is
+    constant. Relative to the scan, the smoothness of the fine step would therefore grow with the square of the noise. However,
+    a node of the graph follows the mean of many points, whose errors cancel, and a fine step follows its neighbourhood.
+    Measurements show that powers of 0.5 and 1.6 keep the mesh on the depth.
     """
     if noise <= parameters.noise or parameters.noise == 0:
         return parameters
@@ -119,7 +129,7 @@ def _search(
 
 
 def _wrapped(model: FaceModel) -> np.ndarray:
-    """(V,) bool: vertices that may meet the scan: the trusted frontal skin, and all outside the frontal region."""
+    """Which vertices may be matched with the scan: the trusted frontal skin, and all outside the frontal region, (V,) bool."""
     allowed: np.ndarray = model.depth_valid | ~model.frontal
     return allowed
 
@@ -161,13 +171,13 @@ def _coarse(
 
 
 class _Energy:
-    """Normal equations of a sum of squares: terms w |J step + r|^2, added one by one, then solved for the step."""
+    """Normal equations of a sum of squares. Terms w |J step + r|^2 are added one by one, and then solved for the step."""
 
     def __init__(self, size: int) -> None:
         self._lhs, self._rhs = 1e-9 * sp.identity(size, format="csr"), np.zeros(size)
 
     def add(self, jacobian: sp.csr_matrix, residual: np.ndarray, weight: float | np.ndarray | sp.spmatrix) -> None:
-        """``weight``: one number, one per row, or a matrix."""
+        """Add a term. ``weight`` is one number, one number per row, or a matrix."""
         if not sp.issparse(weight):
             weight = sp.diags(np.broadcast_to(weight, residual.shape))
         weighted = jacobian.T @ weight
@@ -175,7 +185,7 @@ class _Energy:
         self._rhs = self._rhs - weighted @ residual
 
     def solve(self) -> np.ndarray:
-        """Unknowns that minimise the energy added so far."""
+        """Return the unknowns that minimise the terms added so far."""
         step: np.ndarray = _factor(self._lhs).solve(self._rhs)
         return step
 
@@ -183,29 +193,29 @@ class _Energy:
 def _fixed_terms(
     graph: DeformationGraph, carry: sp.csr_matrix, vertices: np.ndarray, model: FaceModel, parameters: ShrinkWrapParameters
 ) -> list[tuple[sp.csr_matrix, np.ndarray, float, bool]]:
-    """The terms whose rows never change: (rows over the unknowns, constant, weight, relaxes with the rigidity)."""
+    """The terms whose rows never change: rows over the unknowns, constant, weight, and whether they relax with the rigidity."""
     smooth, constant = smoothness_rows(graph)
     touch = _pair_matrix(touching_pairs(model), len(vertices))
-    # rest - vertices: what the carried vertices still lack of their own place, so that the pairs keep their offset.
+    # rest - vertices: the offset of the carried vertices from their own places, so that the pairs keep their distance.
     lips = touch @ carry, touch @ (rest_positions(graph) - vertices)
     return [(smooth, constant, parameters.smoothness, True), (*lips, parameters.contact_weight, False)]
 
 
 def _relaxed(parameters: ShrinkWrapParameters, round_: int) -> float:
-    """Geometric descent of the rigidity from its first to its last value."""
+    """Reduce the rigidity geometrically from its first to its last value."""
     t = round_ / max(parameters.iterations - 1, 1)
     low = max(parameters.rigidity_end, 1e-6)
     return float(np.exp((1 - t) * np.log(max(parameters.rigidity_start, low)) + t * np.log(low)))
 
 
 def _add_scan(energy: _Energy, carry: sp.csr_matrix, found: ScanCorrespondences, area: np.ndarray) -> None:
-    """E_fit, point-to-plane: n.(v' - p), with Tukey's weights and the vertices' areas (not their density)."""
+    """E_fit, point-to-plane: n.(v' - p), with Tukey's weights and the vertices' areas, so that density does not matter."""
     count = len(found.vertices)
     index = np.repeat(np.arange(count), 3), np.arange(3 * count)
     plane = sp.csr_matrix((found.normals.ravel(), index), (count, 3 * count))
     scale = max(3 * 1.4826 * _residual(found), 0.5)
     weight = area / area.mean() * np.clip(1 - (found.distances / (2 * scale)) ** 2, 0, None) ** 2
-    # Unknown k of coordinate d is at 3 k + d: kron keeps the coordinates of a node together.
+    # Unknown k of coordinate d is at 3 k + d, so kron keeps the coordinates of a node together.
     energy.add(plane @ sp.kron(carry[found.vertices], sp.identity(3), format="csr"), found.distances, weight)
 
 
@@ -226,7 +236,7 @@ def _add_features(
 
 
 def _to_rays(points: np.ndarray, constraints: FeatureConstraints) -> np.ndarray:
-    """(120,) offsets r of the points (40, 3) with A r = A x - b: from where the rays meet best."""
+    """Offsets r (120,) of the points (40, 3) from where the rays meet best: A r = A x - b."""
     inverse = np.linalg.pinv(constraints.A, rcond=1e-6, hermitian=True)
     offsets: np.ndarray = (points - np.einsum("fij,fj->fi", inverse, constraints.b)).ravel()
     return offsets
@@ -236,10 +246,10 @@ def _to_rays(points: np.ndarray, constraints: FeatureConstraints) -> np.ndarray:
 
 
 def _detail(vertices: np.ndarray, model: FaceModel, found: ScanCorrespondences, parameters: ShrinkWrapParameters) -> np.ndarray:
-    """(V, 3) displacements s_i m_i with s = argmin sum (s_i m_i.n_i + d_i)^2 + smoothness |L s|^2 + a little |s|^2.
+    """Displacements s_i m_i (V, 3) with s = argmin sum (s_i m_i.n_i + d_i)^2 + smoothness |L s|^2 + a little |s|^2, mm.
 
-    The directions m_i are smoothed normals: at lip and lid rims, where the skin rolls in, true normals would fan out
-    and tear the rim. Lips that touch in the model move alike.
+    The directions m_i are smoothed normals. At the rims of lips and lids, where the skin rolls in, true normals would fan out
+    and tear the rim. Lips that touch in the model move together.
     """
     directions = _smoothed(vertex_normals(vertices, model.triangles), model.triangles)
     turn = (directions[found.vertices] * found.normals).sum(axis=1)
@@ -249,7 +259,7 @@ def _detail(vertices: np.ndarray, model: FaceModel, found: ScanCorrespondences, 
     diagonal = np.bincount(found.vertices, weight * turn**2, n)
     rhs = -np.bincount(found.vertices, weight * turn * found.distances, n)
     laplacian = cotangent_laplacian(vertices, model.triangles, non_negative=True)
-    # The faint pull to zero lets displacements die out over the unseen back of the head.
+    # The faint pull to zero lets displacements decay over the unseen back of the head.
     system = sp.diags(diagonal + 1e-4) + parameters.detail_smoothness * laplacian.T @ laplacian
     pairs = _pair_matrix(touching_pairs(model), n)
     system = system + parameters.contact_weight * pairs.T @ pairs
@@ -270,9 +280,9 @@ def _smoothed(normals: np.ndarray, triangles: np.ndarray, rings: int = 4) -> np.
 
 
 def touching_pairs(model: FaceModel, distance: float = 2.0) -> np.ndarray:
-    """(C, 2) rim vertices that face each other closer than ``distance`` mm in the mean head: the closed lips.
+    """Pairs (C, 2) of rim vertices that face each other within ``distance`` mm in the mean head: the closed lips.
 
-    Only rims (vertices that no depth camera sees) of the frontal region count, and only where the way along the mesh is
+    Only rims of the frontal region count, which are vertices that no depth camera sees, and only if the path along the mesh is
     much longer than the gap.
     """
     rim = np.flatnonzero(model.frontal & ~model.depth_valid)
@@ -287,13 +297,13 @@ def touching_pairs(model: FaceModel, distance: float = 2.0) -> np.ndarray:
 
 
 def _pair_matrix(pairs: np.ndarray, n: int) -> sp.csr_matrix:
-    """(C, n) rows v_a - v_b."""
+    """Rows (C, n) of v_a - v_b."""
     rows = np.arange(len(pairs))
     data = np.concatenate([np.ones(len(pairs)), -np.ones(len(pairs))])
     return sp.coo_matrix((data, (np.tile(rows, 2), pairs.T.ravel())), (len(pairs), n)).tocsr()
 
 
 def _factor(matrix: sp.spmatrix) -> SuperLU:
-    """Factorisation of a symmetric positive definite matrix."""
+    """Factorise a symmetric positive definite matrix."""
     options = {"SymmetricMode": True}
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)

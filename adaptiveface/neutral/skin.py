@@ -1,4 +1,4 @@
-"""How the whole face looks, gathered from the colour pictures of the neutral scan."""
+"""Gather how the whole face looks from the colour pictures of the neutral scan."""
 
 from __future__ import annotations
 
@@ -15,20 +15,34 @@ from ..model.skin import MOST, Skin, skin_channels
 from ..parameters import SkinParameters
 from .appearance import MIN_COSINE, SEEN, inner_grid
 
-#: mm around the features of the eyes in which no sample lies: lids slide over eyeballs, whose colour is not the neutral's.
+#: Distance from the features of the eyes within which there is no sample, mm, because lids slide over eyeballs.
 LIDS = 9.0
-#: px: slopes are differences of the picture over twice so much.
+#: Half the distance over which differences of the picture give slopes, px.
 _STEP = 0.6
-#: OpenCV looks up so many pixels at once, and a few more.
+#: Largest number of pixels that OpenCV looks up at once, approximately.
 _ROWS = 30000
-#: mm: size of the cells that give one sample after the other, so that the first ones cover the face.
+#: Size of the cells that provide samples in turn, so that the first samples cover the face, mm.
 _CELL = 6.0
 
 
 def gather_skin(actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], parameters: SkinParameters) -> Skin | None:
-    """The neutral's :class:`Skin` from frames with colour and their head-to-camera poses (4, 4).
+    """Gather the neutral's skin.
 
-    Every picture counts by the fourth power of how far the skin is turned to it. None when no frame has colour.
+    The weight of a picture is a fourth power that grows as the skin turns to the camera.
+
+    Parameters
+    ----------
+    actor : Actor
+        With the head as the frames show it.
+    views : iterable of (RgbdFrame, (4, 4))
+        Frames with their head-to-camera poses, mm.
+    parameters : SkinParameters
+        Spacing of the samples, and the noise of the pictures.
+
+    Returns
+    -------
+    Skin or None
+        None if no frame has colour.
     """
     triangles, weights = _samples(actor, parameters.spacing)
     points = surface_points(actor.neutral, triangles, weights)
@@ -36,7 +50,7 @@ def gather_skin(actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], par
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     tangents = _tangents(normals)
     total, heavy = np.zeros((2, len(points)))
-    sums, squares = np.zeros((2, len(points), 3, 3))  # of each channel: itself, and its slopes along the tangents
+    sums, squares = np.zeros((2, len(points), 3, 3))  # of each channel: its value, and its slopes along the tangents
     for frame, pose in views:
         if frame.colour is None:
             continue
@@ -65,14 +79,14 @@ def gather_skin(actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], par
 
 
 def _tangents(normals: np.ndarray) -> np.ndarray:
-    """(2, Q, 3) orthonormal directions across unit ``normals`` (Q, 3)."""
+    """Orthonormal directions (2, Q, 3) across unit ``normals`` (Q, 3)."""
     first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(normals, first)])
 
 
 def _look(picture: np.ndarray, camera: Camera, pose: np.ndarray, points: np.ndarray, tangents: np.ndarray) -> np.ndarray:
-    """(Q, 3, 3) channels at points (Q, 3), head frame, and their change per mm along the tangents (2, Q, 3)."""
+    """Channels at points (Q, 3) in the head frame, and their change per mm along the tangents (2, Q, 3): (Q, 3, 3)."""
     step = _STEP * float(np.median(transform_points(pose, points)[:, 2])) / camera.fx
 
     def at(places: np.ndarray) -> np.ndarray:
@@ -83,10 +97,11 @@ def _look(picture: np.ndarray, camera: Camera, pose: np.ndarray, points: np.ndar
 
 
 def _coherence(gradients: np.ndarray, variances: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """(Q, 3) share of one picture's squared gradient that is the skin's own: what all pictures show alike.
+    """Share (Q, 3) of a picture's squared gradient that belongs to the skin, because all pictures show it.
 
-    gradients, variances (Q, 3, 2): mean and variance over the pictures, of which ``count`` (Q,) are independent. Noise and
-    gloss, which stays where the light is while the head turns, are the rest. The mean's own share of them is taken off.
+    ``gradients`` and ``variances`` (Q, 3, 2) are the mean and the variance over the pictures, of which ``count`` (Q,) are
+    independent. The rest is noise and gloss, which stays below the light while the head turns. Its share in the mean is
+    subtracted.
     """
     square, noise = (gradients**2).sum(axis=2), variances.sum(axis=2)
     left = square - noise / np.maximum(count[:, None] - 1.0, 1.0)
@@ -95,15 +110,15 @@ def _coherence(gradients: np.ndarray, variances: np.ndarray, count: np.ndarray) 
 
 
 def _at(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(Q, ...) values of a picture (H, W, ...) at pixels (Q, 2), bilinear."""
+    """Look up a picture (H, W, ...) at pixels (Q, 2) bilinearly; returns (Q, ...)."""
     parts = np.array_split(pixels.astype(np.float32)[:, None], len(pixels) // _ROWS + 1)
     return np.concatenate([cv2.remap(picture, part, None, cv2.INTER_LINEAR)[:, 0] for part in parts]).astype(float)
 
 
 def _most_telling(points: np.ndarray, worth: np.ndarray) -> np.ndarray:
-    """Order (Q,) of samples at points (Q, 3), mm: the best of every cell by their worth (Q,), then the second ones, and so on.
+    """Order (Q,) of samples at points (Q, 3) mm: the best sample of every cell by its worth, then the second ones, and so on.
 
-    By worth alone they would lie on brows, lips and the hairline, where features are, and leave cheeks and chin out.
+    Ordered by worth alone, the first samples would lie on brows, lips and the hairline, and leave out cheeks and chin.
     """
     _, cell = np.unique(np.floor(points / _CELL).astype(int), axis=0, return_inverse=True)
     best_first = np.lexsort((-worth, cell.ravel()))
@@ -115,7 +130,7 @@ def _most_telling(points: np.ndarray, worth: np.ndarray) -> np.ndarray:
 
 
 def _samples(actor: Actor, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (Q, 3) and weights (Q, 3) of samples about ``spacing`` mm apart, where depth is valid, without the lids."""
+    """Triangles (Q, 3) and weights (Q, 3) of samples about ``spacing`` mm apart, on skin with valid depth except the lids."""
     usable = actor.frontal & actor.depth_valid
     homes = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)[FEATURE_REGIONS == "eyes"]
     usable &= (np.linalg.norm(actor.neutral[:, None] - homes, axis=2) > LIDS).all(axis=1)

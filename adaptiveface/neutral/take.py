@@ -12,9 +12,9 @@ import numpy as np
 from ..geometry.frame import Features2D, RgbdFrame
 from .choice import LOOK, Judged, choose, costs, doubts, judge, leading_is_calm
 
-#: Number of valid features from which a face counts as found in a frame.
+#: Smallest number of valid features at which a face counts as found.
 MIN_FEATURES = 6
-#: How to name the frames.
+#: Says how to name the frames.
 WAY_OUT = "--neutral-frames FIRST:LAST takes others"
 Step = Callable[[], object]
 
@@ -24,23 +24,23 @@ class Reader(Protocol):
 
     @property
     def source(self) -> Sized:
-        """The frames, broken ones included."""
+        """Number of frames, including broken ones."""
 
     def read(self, index: int) -> RgbdFrame | None:
-        """Frame ``index`` with its features; None for one that cannot be used."""
+        """Return frame ``index`` with its features, or None if it cannot be used."""
 
     def again(self, index: int, features: Features2D) -> RgbdFrame:
-        """Frame ``index``, which was read before, with the ``features`` that it had."""
+        """Return frame ``index``, which was read before, with the features that it had."""
 
 
 def face_found(frame: RgbdFrame) -> bool:
-    """Whether enough 2D features are seen to count as a face."""
+    """Whether enough 2D features are visible to count as a face."""
     return frame.features is not None and int(frame.features.valid.sum()) >= MIN_FEATURES
 
 
 @dataclass(frozen=True)
 class NeutralTake:
-    """``frames`` of the neutral face; ``note``: what is doubtful about them, or ""; ``leading``: they are the first ones."""
+    """The ``frames`` of the neutral face, a ``note`` about doubts or "", and whether they are the ``leading`` ones."""
 
     frames: list[RgbdFrame]
     note: str = ""
@@ -57,13 +57,13 @@ def neutral_of(
     reader : Reader
         Reads the source's frames.
     wanted : int, range or None
-        How many of the leading frames with a face; these very frames; or all, at most ``most`` of them, spread evenly.
+        Number of leading frames with a face, or the numbers of the frames. None takes all, but at most ``most``, spread evenly.
     points : (40, 3)
         The model's features, mm.
     most : int
-        See ``wanted``.
+        Largest number of frames if ``wanted`` is None.
     step : callable
-        Called at every frame that is taken.
+        Called for every frame that is taken.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def _read(reader: Reader, numbers: Sequence[int], step: Step) -> list[RgbdFrame]
 
 
 def _leading(reader: Reader, count: int, points: np.ndarray, step: Step) -> NeutralTake:
-    """``count`` frames: the first ones with a face, or calmer ones among the first ``LOOK``. Only the former are kept."""
+    """Choose the first ``count`` frames with a face, or calmer ones among the first ``LOOK``. Only the former are kept."""
     kept: list[RgbdFrame] = []
     found: list[tuple[int, Features2D]] = []
     judged: list[Judged | None] = []
@@ -120,7 +120,7 @@ def _leading(reader: Reader, count: int, points: np.ndarray, step: Step) -> Neut
 
 
 def _all_or_calm(frames: list[RgbdFrame], points: np.ndarray) -> NeutralTake:
-    """The frames of a whole recording; those that talk or laugh are left out where they are many."""
+    """Choose the frames of a whole recording. If it has many frames, those that talk or laugh are left out."""
     faces = [frame for frame in frames if face_found(frame)]
     judged = [judge(frame, points) for frame in faces]
     trouble = doubts(judged, turned=False)

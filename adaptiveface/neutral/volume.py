@@ -1,4 +1,4 @@
-"""A truncated signed distance volume (Curless & Levoy 1996) around the head: depth frames in, surface points out."""
+"""Merge depth frames in a truncated signed distance volume (Curless & Levoy 1996), and extract surface points."""
 
 from __future__ import annotations
 
@@ -11,8 +11,16 @@ from .registration import DepthView
 class TsdfVolume:
     """Signed distance samples on a regular grid in the model frame.
 
-    box (2, 3) corners, mm; voxel: spacing, mm; truncation: distance at which the samples saturate, mm. distance, weight
-    (X, Y, Z) float32: running weighted mean of distance / truncation (positive outside the head), and its weight.
+    Attributes
+    ----------
+    box : (2, 3)
+        Corners of the grid, mm.
+    voxel : float
+        Its spacing, mm.
+    truncation : float
+        Distance at which the samples saturate, mm.
+    distance, weight : (X, Y, Z) float32
+        Running weighted mean of distance / truncation, which is positive outside the head, and its weight.
     """
 
     def __init__(self, box: np.ndarray, voxel: float, truncation: float) -> None:
@@ -22,7 +30,7 @@ class TsdfVolume:
         self.weight = np.zeros(tuple(shape), np.float32)
 
     def integrate(self, view: DepthView, pose: np.ndarray, min_cosine: float) -> None:
-        """Add one registered depth view; ``pose`` (4, 4) model to camera. Weight: the cosine of the viewing angle."""
+        """Add one registered depth view at ``pose`` (4, 4), model to camera. Its weight is the cosine of the viewing angle."""
         camera = view.camera
         _integrate(
             self.distance,
@@ -42,7 +50,7 @@ class TsdfVolume:
         )
 
     def surface(self, min_weight: float = 1e-3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Zero crossings on the grid's edges: points (P, 3) mm, unit normals (P, 3), accumulated weights (P,)."""
+        """Find the zero crossings on the grid's edges: points (P, 3) mm, unit normals (P, 3), accumulated weights (P,)."""
         capacity = max(3 * int((self.weight > min_weight).sum()), 1)
         out = np.empty((min(capacity, 6_000_000), 7))
         count = _zero_crossings(self.distance, self.weight, np.float32(min_weight), out)
@@ -67,8 +75,8 @@ def _integrate(
     cy: float,
     min_cosine: float,
 ) -> None:
-    # Serial: parallel loops stalled on shared cores. The distance is measured to the tangent plane, not along the
-    # ray: on slanted skin a ray overestimates it, and the nearest pixel is up to half a pixel off.
+    # This is serial, because parallel loops stalled on shared cores. The distance is measured to the tangent plane and not
+    # along the ray, because a ray overestimates it on slanted skin, and the nearest pixel is up to half a pixel off.
     height, width = valid.shape
     for i in range(distance.shape[0]):
         x = origin[0] + i * voxel
@@ -144,7 +152,7 @@ def _zero_crossings(distance: np.ndarray, weight: np.ndarray, min_weight: float 
 def _gradient(
     distance: np.ndarray, weight: np.ndarray, min_weight: float | np.float32, i: int, j: int, k: int, out: np.ndarray
 ) -> bool:
-    """Central differences; False at the rim of the data, where a normal would be invented."""
+    """Central differences; False at the rim of the data, where a normal would not be measured."""
     if (
         weight[i - 1, j, k] <= min_weight
         or weight[i + 1, j, k] <= min_weight
