@@ -14,15 +14,12 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..files.records import array, record
-from .appearance import CHROMA, DARK, SURROUNDINGS
+from .appearance import SURROUNDINGS, contrast, mixtures
 
 #: An actor keeps no more samples than this.
 MOST = 8000
 #: So many pixels show a channel of :func:`skin_channels` alike: the colours come from a picture of half the size.
 PIXELS = np.array([1.0, 4.0, 4.0])
-#: Of red, green, blue and one: brightness, and two differences and the sum that they are shares of.
-_BRIGHTNESS = np.array([[0.3, 0.59, 0.11, DARK]])
-_SHARES = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [1 / CHROMA, 1 / CHROMA, 1 / CHROMA, DARK / CHROMA]])
 
 
 @record
@@ -64,10 +61,7 @@ def skin_channels(picture: np.ndarray) -> np.ndarray:
     changes slowly over the face: gloss has the lamp's colour, and moves over the skin as the head turns.
     """
     size = picture.shape[1], picture.shape[0]
-    first, second, total = cv2.split(cv2.transform(cv2.pyrDown(picture).astype(np.float32), _SHARES))
+    _, first, second, total = mixtures(cv2.pyrDown(picture))
     shares = cv2.merge([cv2.divide(first, total), cv2.divide(second, total)])
     shares -= cv2.GaussianBlur(shares, (0, 0), 0.5 * SURROUNDINGS)
-    brightness = cv2.transform(picture.astype(np.float32), _BRIGHTNESS)
-    around = cv2.GaussianBlur(cv2.pyrDown(brightness), (0, 0), 0.5 * SURROUNDINGS)
-    contrast = cv2.log(cv2.divide(brightness, cv2.pyrUp(around, dstsize=size))) * np.float32(100.0)
-    return cv2.merge([contrast, *cv2.split(cv2.pyrUp(shares, dstsize=size))])
+    return cv2.merge([contrast(mixtures(picture)[0]), *cv2.split(cv2.pyrUp(shares, dstsize=size))])

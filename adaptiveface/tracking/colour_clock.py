@@ -60,7 +60,7 @@ class ColourClock:
 
 def face_shift(term: SkinTerm) -> np.ndarray:
     """Common displacement (3,) of all samples in the head frame, mm. A single sample only knows some directions."""
-    matrix = term.matrices.sum(axis=0)
+    matrix, pull = term.totals()
     matrix += 1e-3 * np.trace(matrix) * np.eye(3)
-    shift: np.ndarray = np.linalg.solve(matrix, term.pulls.sum(axis=0))
+    shift: np.ndarray = np.linalg.solve(matrix, pull)
     return shift

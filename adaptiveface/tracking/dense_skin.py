@@ -35,12 +35,17 @@ from ..model.skin import PIXELS, Skin, skin_channels
 from ..parameters import SkinParameters
 from .laplacian import LaplacianDeformation
 from .region import FrontalRegion
-from .skin_light import fit_light, in_light, robust, trust
-from .skin_samples import CORRELATED, carry, look_up, normal_equations
+from .skin_light import fit_light, in_light, row_weights, trust
+from .skin_samples import CORRELATED, FACING, carry, look_up, normal_equations
 from .skin_term import SkinTerm
+from .slow_modes import SlowModes
 
 #: px beside the samples in which the picture is prepared: blurs and shifts reach so far.
 _BORDER = 16
+#: Every so many of the samples tell the light: it has five numbers a channel.
+_LIGHT_STRIDE = 4
+#: Mean shares of their weights that rows of depth and colour have in a frame: some find no depth, none fits perfectly.
+DEPTH_SHARE, COLOUR_SHARE = 0.75, 0.6
 
 
 class SkinPicture(NamedTuple):
@@ -85,7 +90,26 @@ class DenseSkin:
         self._shares = parameters.weight * skin.coherence / PIXELS
         known = (self._shares * steepness / self._variances / CORRELATED).sum(axis=1)
         at_vertices = np.bincount(self._corners.ravel(), (skin.weights * known[:, None]).ravel(), minlength=len(region))
-        self.deformation = deformation.bounded(at_vertices)
+        self.deformation = deformation.bounded(at_vertices, self._slow_modes(region, deformation, at_vertices, edges))
+
+    def _slow_modes(
+        self, region: FrontalRegion, deformation: LaplacianDeformation, bound: np.ndarray, edges: np.ndarray
+    ) -> SlowModes:
+        """The modes for the rows of the neutral, seen from the front; edges (Q, 2, 3) of the samples' triangles."""
+        skin, normals = self._skin, region.normals_at_rest
+        depth = deformation.w1 * np.where(normals[:, 2] > FACING[0], DEPTH_SHARE * normals[:, 2], 0.0)
+        across = np.cross(edges[:, 0], edges[:, 1])
+        facing = (across[:, 2] / np.linalg.norm(across, axis=1) - FACING[0]) / (FACING[1] - FACING[0])
+        gradients = np.einsum("qcf,qfk->qck", skin.slopes, np.linalg.pinv(edges).transpose(0, 2, 1))
+        weights = COLOUR_SHARE * np.clip(facing, 0.0, 1.0)[:, None] * self._shares / self._variances / CORRELATED
+        return SlowModes.of(
+            deformation.system.smoothing,
+            deformation.w1 + bound,
+            depth[:, None, None] * normals[:, :, None] * normals[:, None, :],
+            self._corners,
+            skin.weights,
+            np.einsum("qc,qck,qcl->qkl", weights, gradients, gradients),
+        )
 
     def look(
         self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray, displacement: np.ndarray, measured: np.ndarray
@@ -110,11 +134,12 @@ class DenseSkin:
 
     def _picture(self, frame: RgbdFrame, placed: np.ndarray) -> SkinPicture | None:
         """What a frame shows around the vertices ``placed`` (n, 3), camera frame; None without colour, or too little."""
-        if frame.colour is None or placed[:, 2].min() < 50.0:
+        outline = placed[::5]  # dense enough to know where the face is
+        if frame.colour is None or outline[:, 2].min() < 50.0:
             return None
-        pixels, camera = frame.camera.project(placed), frame.camera
-        u, v = np.maximum(pixels.min(axis=0).astype(int) - _BORDER, 0)
-        right, bottom = np.minimum(pixels.max(axis=0).astype(int) + _BORDER, [camera.width, camera.height])
+        pixels, camera = frame.camera.project(outline).T.copy(), frame.camera
+        u, v = np.maximum(pixels.min(axis=1).astype(int) - _BORDER, 0)
+        right, bottom = np.minimum(pixels.max(axis=1).astype(int) + _BORDER, [camera.width, camera.height])
         if min(right - u, bottom - v) < 2 * _BORDER:
             return None
         lens = camera.fx, camera.fy, camera.cx - float(u), camera.cy - float(v)
@@ -128,11 +153,11 @@ class DenseSkin:
         points, normals, counts = carry(placed, self._corners, skin.weights, measured, reach)
         values = look_up(picture.channels, points, picture.lens, counts)
         known = counts[:, None] / self._variances
-        expected = in_light(fit_light(values, skin.colours, normals, known), skin.colours, normals)
+        some = slice(None, None, _LIGHT_STRIDE)
+        light = fit_light(values[some], skin.colours[some], normals[some], known[some])
+        expected = in_light(light, skin.colours, normals)
         residuals = values - expected
-        misfit = (known * residuals**2).sum(axis=0) / max(counts.sum(), 1e-12)
-        variances = np.maximum(misfit, 1.0) * self._variances
         believed = trust(residuals, expected, known, counts)
-        weights = believed * self._shares * counts[:, None] / variances * robust(residuals, variances)
+        weights = row_weights(residuals, counts, self._variances, self._shares, believed)
         turn = np.ascontiguousarray(pose[:3, :3])
         return normal_equations(residuals, weights, skin.slopes, placed, self._corners, turn)

@@ -23,7 +23,7 @@ from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..geometry.mesh import surface_points, transform_points
 from ..model.actor import Actor
-from ..model.appearance import BLURS, channels
+from ..model.appearance import BLURS, blurred_channels, mixtures
 from ..parameters import RefinementParameters
 from .patch_alignment import align_patches
 
@@ -35,6 +35,8 @@ OWN_SHARE = 0.15
 CORRELATED = 3.0
 #: px beside the patches in which the picture is prepared: blurs and shifts reach so far.
 _BORDER = 16
+#: Every so many samples of a patch are compared at each blur: in a blurred picture neighbours tell the same.
+STRIDES = (2, 1)
 #: Variance, px^2, that no picture takes out of a feature: the mesh itself is a little off.
 _FLOOR = 0.2
 
@@ -77,12 +79,14 @@ class FeatureRefinement:
             return found
         covariance = self._covariance[np.ix_(seen, seen)] * scale**2
         precision = np.linalg.inv(covariance)
-        features = found
+        features, mixed = found, mixtures(np.ascontiguousarray(picture))
         for level, blur in enumerate(BLURS):
             if level:
                 mesh = follow(features, mesh)
             patches = self._patches(mesh, pose, frame.camera, corner, level)
-            pixels, variance = self._shift(patches, channels(picture, blur), found, features, precision, seen)
+            pixels, variance = self._shift(
+                patches, blurred_channels(mixed, blur), found, features, precision, seen, STRIDES[level]
+            )
             features = Features2D(pixels, found.confidence)
         gained = (np.diag(covariance) + _FLOOR) / (variance + _FLOOR)
         confidence = found.confidence.copy()
@@ -92,10 +96,10 @@ class FeatureRefinement:
     def _patches(self, mesh: np.ndarray, pose: np.ndarray, camera: Camera, corner: np.ndarray, level: int) -> _Patches:
         """The samples as the mesh carries them, in pixels of the cut-out picture."""
         look, actor = self._look, self.actor
-        mesh = transform_points(pose, mesh)
-        points, weights = _carry(mesh, look.triangles, look.weights, self._nearness, self._area, camera.fx)
-        homes = camera.project(surface_points(mesh, actor.feature_triangles, actor.feature_weights))
-        return _Patches(homes, camera.project(points) - corner, weights, look.colours[level], self._starts)
+        lens = camera.fx, camera.fy, camera.cx - corner[0], camera.cy - corner[1]
+        pixels, weights = _carry(mesh, pose, lens, look.triangles, look.weights, self._nearness, self._area)
+        homes = surface_points(mesh, actor.feature_triangles, actor.feature_weights)
+        return _Patches(camera.project(transform_points(pose, homes)), pixels, weights, look.colours[level], self._starts)
 
     def _shift(
         self,
@@ -105,14 +109,15 @@ class FeatureRefinement:
         features: Features2D,
         precision: np.ndarray,
         seen: np.ndarray,
+        stride: int,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (40, 2) of the features after the rounds, and the variance (n,) px^2 that is left of each one seen."""
-        along_u, along_v = (cv2.Scharr(picture, cv2.CV_32F, *axis) / 32.0 for axis in ((1, 0), (0, 1)))
+        along_u, along_v = (cv2.Scharr(picture, cv2.CV_32F, *axis, scale=1 / 32) for axis in ((1, 0), (0, 1)))
         images = (picture, along_u, along_v)
         homes, p = patches.homes[seen], self.parameters
         start, detected = features.pixels[seen] - homes, found.pixels[seen] - homes
         shift, variance = align_patches(
-            images, *patches.arrays, seen, start, detected, precision, p.rounds, float(p.noise) ** 2
+            images, *patches.arrays, seen, start, detected, precision, p.rounds, float(p.noise) ** 2, stride
         )
         pixels = features.pixels.copy()
         pixels[seen] = homes + shift
@@ -153,23 +158,37 @@ def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndar
 
 @compiled(nogil=True)
 def _carry(
-    mesh: np.ndarray, triangles: np.ndarray, corners: np.ndarray, nearness: np.ndarray, area: np.ndarray, focal: float
+    mesh: np.ndarray,
+    pose: np.ndarray,
+    lens: tuple[float, float, float, float],
+    triangles: np.ndarray,
+    corners: np.ndarray,
+    nearness: np.ndarray,
+    area: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples on a mesh (N, 3) in the camera frame: points (Q, 3), and by how much each of them counts (Q,).
+    """Samples on a mesh (N, 3) in the head frame: their pixels (Q, 2), and by how much each of them counts (Q,).
 
-    Less where the skin turns away; and at most as the independent pixels that it stands for.
+    Less where the skin turns away; and at most as the independent pixels that it stands for. lens: fx, fy, cx and cy.
     """
-    points, counts = np.empty((len(triangles), 3)), np.empty(len(triangles))
+    pixels, counts = np.empty((len(triangles), 2)), np.empty(len(triangles))
+    camera = np.empty(3)  # where it is, in the head frame
+    for k in range(3):
+        camera[k] = -(pose[0, k] * pose[0, 3] + pose[1, k] * pose[1, 3] + pose[2, k] * pose[2, 3])
     for q in range(len(triangles)):
-        a, b, c = triangles[q]
-        for k in range(3):
-            points[q, k] = corners[q, 0] * mesh[a, k] + corners[q, 1] * mesh[b, k] + corners[q, 2] * mesh[c, k]
-        along, normal, distance = 0.0, 0.0, 0.0
-        for k in range(3):
-            i, j = (k + 1) % 3, (k + 2) % 3
-            n = (mesh[b, i] - mesh[a, i]) * (mesh[c, j] - mesh[a, j]) - (mesh[b, j] - mesh[a, j]) * (mesh[c, i] - mesh[a, i])
-            along, normal, distance = along + n * points[q, k], normal + n * n, distance + points[q, k] ** 2
-        facing = (-along / max(np.sqrt(normal * distance), 1e-9) - FACING[0]) / (FACING[1] - FACING[0])
-        pixels = min(area[q] * (focal / points[q, 2]) ** 2, 1.0) / CORRELATED
-        counts[q] = nearness[q] * min(max(facing, 0.0), 1.0) * pixels
-    return points, counts
+        a, b, c = np.uint32(triangles[q, 0]), np.uint32(triangles[q, 1]), np.uint32(triangles[q, 2])
+        r, s, t = corners[q, 0], corners[q, 1], corners[q, 2]
+        ax, ay, az = mesh[a, 0], mesh[a, 1], mesh[a, 2]
+        bx, by, bz = mesh[b, 0], mesh[b, 1], mesh[b, 2]
+        cx, cy, cz = mesh[c, 0], mesh[c, 1], mesh[c, 2]
+        x, y, z = r * ax + s * bx + t * cx, r * ay + s * by + t * cy, r * az + s * bz + t * cz
+        bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        u, v, w = camera[0] - x, camera[1] - y, camera[2] - z
+        size = (nx * nx + ny * ny + nz * nz) * (u * u + v * v + w * w)
+        facing = ((nx * u + ny * v + nz * w) / max(np.sqrt(size), 1e-9) - FACING[0]) / (FACING[1] - FACING[0])
+        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+        pixels[q, 0] = lens[0] * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / depth + lens[2]
+        pixels[q, 1] = lens[1] * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / depth + lens[3]
+        independent = min(area[q] * (lens[0] / depth) ** 2, 1.0) / CORRELATED
+        counts[q] = nearness[q] * min(max(facing, 0.0), 1.0) * independent
+    return pixels, counts

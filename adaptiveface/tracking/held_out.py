@@ -30,6 +30,7 @@ class HeldOut:
         self._expressions = actor.expression_names
         if landmarks is not None and held is not None:
             self.regions = tuple(dict.fromkeys(str(region) for region in held.regions))
+            self._members = [np.flatnonzero(held.regions == region) for region in self.regions]
             points = dict(zip(landmarks.ids.tolist(), landmarks.points(actor.neutral), strict=True))
             right, left = (np.mean([points[number] for number in eye], axis=0) for eye in EYES)
             self._eyes = float(np.linalg.norm(left - right))
@@ -65,7 +66,7 @@ class HeldOut:
         points = transform_points(pose, places)
         off = face.mesh[landmarks.ids, :2] - slides - camera.project(points)
         error = np.linalg.norm(off / [camera.fx, camera.fy], axis=1) * points[:, 2] / self._eyes * 100.0
-        return np.array([error[landmarks.regions == region].mean() for region in self.regions])
+        return np.array([error[members].mean() for members in self._members])
 
 
 def describe(errors: np.ndarray, regions: tuple[str, ...]) -> str:

@@ -19,7 +19,7 @@ import copy
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ..caches.compiled import compiled
 from ..geometry.mesh import cotangent_laplacian
@@ -28,9 +28,10 @@ from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
 from .prefactored import LaplacianOperator, PrefactoredSystem
 from .skin_term import SkinTerm
+from .slow_modes import SlowModes
 
 #: Row numbers (m,) and directions (m, 3) of the features' rows, and the factor of their Woodbury system; None without rows.
-Correction = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, bool] | None]
+Correction = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class LaplacianDeformation:
         laplacian: LaplacianOperator = cotangent_laplacian,
     ) -> None:
         self.w1, self.w2 = w1, w2
+        self.slow: SlowModes | None = None
         self.system = PrefactoredSystem(vertices, triangles, frontal, w1, w2, laplacian)
         # A corner outside the frontal region does not move: its share of the feature is dropped.
         self.corners = (np.cumsum(frontal) - 1)[feature_triangles]
@@ -102,10 +104,13 @@ class LaplacianDeformation:
         out._respond()
         return out
 
-    def bounded(self, extra: np.ndarray) -> LaplacianDeformation:
-        """The same energies, whose constant matrix A0 also bounds further rows: of at most ``extra`` (n,) at the vertices."""
+    def bounded(self, extra: np.ndarray, slow: SlowModes | None = None) -> LaplacianDeformation:
+        """The same energies, whose constant matrix A0 also bounds further rows: of at most ``extra`` (n,) at the vertices.
+
+        ``slow``: what is solved beside the iterations, in place of the features' rows: few modes hold these as well.
+        """
         out = copy.copy(self)
-        out.system = self.system.reweighted(self.w1 + extra, self.w2)
+        out.system, out.slow = self.system.reweighted(self.w1 + extra, self.w2), slow
         out._respond()
         return out
 
@@ -130,14 +135,14 @@ class LaplacianDeformation:
             return index, rows, None
         matrix = self._compliance.take(index, axis=0).take(index, axis=1) * (rows @ rows.T)
         matrix.flat[:: len(rows) + 1] += 1.0 / np.maximum(term.weights.ravel(), 1e-12)
-        return index, rows, cho_factor(matrix, overwrite_a=True, check_finite=False)
+        return index, rows, dpotrf(matrix, overwrite_a=1, clean=0)[0]
 
     def deform_to_features(self, term: FeatureTerm) -> np.ndarray:
         """Exact minimum with w1 = 0: (n, 3); needs no sparse solve at all, only the features' responses."""
         index, rows, factor = self._feature_correction(term)
         if len(rows) == 0:
             return np.zeros((len(self._response), 3))
-        return self._spread(index, rows * cho_solve(factor, term.targets.ravel(), check_finite=False)[:, None])
+        return self._spread(index, rows * dpotrs(factor, term.targets.ravel())[0][:, None])
 
     def _spread(self, index: np.ndarray, forces: np.ndarray) -> np.ndarray:
         at_features = np.zeros((self._response.shape[1], 3))
@@ -154,7 +159,7 @@ class LaplacianDeformation:
         if len(rows) == 0:
             return without
         missing = term.targets.ravel() - (rows * self._at_features(without, index)).sum(axis=1)
-        displacement: np.ndarray = without + self._spread(index, rows * cho_solve(factor, missing, check_finite=False)[:, None])
+        displacement: np.ndarray = without + self._spread(index, rows * dpotrs(factor, missing)[0][:, None])
         return displacement
 
     def deform(
@@ -168,29 +173,39 @@ class LaplacianDeformation:
     ) -> np.ndarray:
         """Displacement (n, 3) towards depth and features by ``steps`` preconditioned conjugate-gradient steps.
 
+        Where there are slow modes, a step in their span comes first.
+
         ``matches`` of the n frontal vertices (weight 0: none) with ``normals`` (n, 3) in the head frame; ``start`` (n, 3);
         ``skin``: the colours' rows, for a deformation that is ``bounded`` for them.
         """
         strength = self.w1 * matches.weights
-        correction = self._feature_correction(term)
+        correction = self._feature_correction(term) if self.slow is None and steps else None
+        first = [] if self.slow is None else [self.slow.solve]
+
+        def precondition(residual: np.ndarray) -> np.ndarray:
+            return self._precondition(residual, correction)
+
+        def apply(displacement: np.ndarray) -> np.ndarray:
+            image = self._apply(displacement, strength, normals, term)
+            return image if skin is None else image + skin.image(displacement)
+
         displacement = start.copy()
-        residual = self.right_hand_side(matches, normals, term) - self._apply(displacement, strength, normals, term)
+        residual = self.right_hand_side(matches, normals, term) - apply(displacement)
         if skin is not None:
-            residual += skin.right_hand_side(len(residual)) - skin.image(displacement)
-        direction, previous = np.zeros_like(residual), 1.0
-        for step in range(steps):
-            preconditioned = self._precondition(residual, correction)
-            slope = float(np.vdot(residual, preconditioned))
+            residual += skin.right_hand_side(len(residual))
+        earlier: list[tuple[np.ndarray, np.ndarray, float]] = []  # directions, their images and their stiffness
+        for solve in [*first, *[precondition] * steps]:
+            direction = solve(residual)
+            for other, image, stiffness in earlier:
+                direction -= (float(np.vdot(direction, image)) / stiffness) * other
+            slope = float(np.vdot(residual, direction))
             if slope <= 0.0:
                 break
-            direction = preconditioned + (slope / previous if step else 0.0) * direction
-            image = self._apply(direction, strength, normals, term)
-            if skin is not None:
-                image += skin.image(direction)
-            length = slope / float(np.vdot(direction, image))
-            displacement += length * direction
-            residual -= length * image
-            previous = slope
+            image = apply(direction)
+            stiffness = float(np.vdot(direction, image))
+            displacement += (slope / stiffness) * direction
+            residual -= (slope / stiffness) * image
+            earlier.append((direction, image, stiffness))
         return displacement
 
     def right_hand_side(self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
@@ -210,13 +225,15 @@ class LaplacianDeformation:
         self._add_pull(image, term, np.einsum("frd,fd->fr", term.rows, self._at_features(d, term.index)))
         return image
 
-    def _precondition(self, right: np.ndarray, correction: Correction) -> np.ndarray:
-        index, rows, factor = correction
+    def _precondition(self, right: np.ndarray, correction: Correction | None) -> np.ndarray:
         solved = self.system.precondition(right)
+        if correction is None:
+            return solved
+        index, rows, factor = correction
         if len(rows) == 0:
             return solved
         at_rows = (rows * self._at_features(solved, index)).sum(axis=1)
-        direction: np.ndarray = solved - self._spread(index, rows * cho_solve(factor, at_rows, check_finite=False)[:, None])
+        direction: np.ndarray = solved - self._spread(index, rows * dpotrs(factor, at_rows)[0][:, None])
         return direction
 
 

@@ -65,7 +65,8 @@ class PackedFactor:
         column_starts, column_rows, backward = _pack_backward(starts, rows, values)
         self.layout = Layout(widths, block_rows, block_values, shared, column_starts, column_rows)
         self._values = forward, backward
-        self._single_values = forward.astype(np.float32), backward.astype(np.float32)
+        self._single_values = forward.astype(np.float32)
+        self._single_inverse_diagonal = self._inverse_diagonal.astype(np.float32)
 
     def __len__(self) -> int:
         """Number of entries of G below its diagonal."""
@@ -73,9 +74,16 @@ class PackedFactor:
 
     def solve(self, right: np.ndarray, single: bool = False) -> np.ndarray:
         """Solve A x = b for b (n, 3). ``single`` uses the factor in single precision, which is faster to read."""
-        forward, backward = self._single_values if single else self._values
-        y = _permuted(right, self._order)
         at = self.layout
+        if single:
+            y = _permuted(right, self._order, np.float32(0.0))
+            _forward(at.widths, at.block_rows, at.block_values, at.rows, self._single_values, y)
+            _backward_blocks(
+                at.widths, at.block_rows, at.block_values, at.rows, self._single_values, self._single_inverse_diagonal, y
+            )
+            return _permuted_back(y, self._order)
+        forward, backward = self._values
+        y = _permuted(right, self._order, 0.0)
         _forward(at.widths, at.block_rows, at.block_values, at.rows, forward, y)
         _backward(at.column_starts, at.column_rows, backward, self._inverse_diagonal, y)
         return _permuted_back(y, self._order)
@@ -144,9 +152,9 @@ def _pack_backward(starts: np.ndarray, rows: np.ndarray, values: np.ndarray) -> 
 
 
 @compiled
-def _permuted(right: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """P b, (n, 3)."""
-    y = np.empty(right.shape)
+def _permuted(right: np.ndarray, order: np.ndarray, zero: float | np.float32) -> np.ndarray:
+    """P b, (n, 3), in the precision of ``zero``."""
+    y = np.full(right.shape, zero)
     for i in range(len(order)):
         for k in range(3):
             y[order[i], k] = right[i, k]
@@ -155,7 +163,7 @@ def _permuted(right: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 @compiled
 def _permuted_back(y: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """P^T y, (n, 3)."""
+    """P^T y, (n, 3), in double precision."""
     out = np.empty(y.shape)
     for i in range(len(order)):
         for k in range(3):
@@ -163,23 +171,27 @@ def _permuted_back(y: np.ndarray, order: np.ndarray) -> np.ndarray:
     return out
 
 
+#: Unsigned numbers: numba tests each signed index for being negative, which costs as much as the sums.
+_1, _2, _3, _4 = (np.uint64(number) for number in (1, 2, 3, 4))
+
+
 @compiled
 def _forward(
     widths: np.ndarray, first_row: np.ndarray, first_value: np.ndarray, rows: np.ndarray, values: np.ndarray, y: np.ndarray
 ) -> None:
     """G^-1 y in place; the three coordinates share one pass over the factor."""
-    j = 0
+    j = np.uint64(0)
     for block in range(len(widths)):
-        width, place = widths[block], first_value[block]
-        for p in range(width):  # the block's own triangle
-            for q in range(p + 1, width):
+        width, place = np.uint64(widths[block]), np.uint64(first_value[block])
+        for p in range(j, j + width):  # the block's own triangle
+            for q in range(p + _1, j + width):
                 for k in range(3):
-                    y[j + q, k] -= values[place] * y[j + p, k]
-                place += 1
-        begin, end = first_row[block], first_row[block + 1]
-        if width == 4:
+                    y[q, k] -= values[place] * y[p, k]
+                place += _1
+        begin, end = np.uint64(first_row[block]), np.uint64(first_row[block + 1])
+        if width == _4:
             _eliminate_four(rows, begin, end, values, place, y, j)
-        elif width == 2:
+        elif width == _2:
             _eliminate_two(rows, begin, end, values, place, y, j)
         else:
             a, b, c = y[j, 0], y[j, 1], y[j, 2]
@@ -188,37 +200,41 @@ def _forward(
                 y[i, 0] -= value * a
                 y[i, 1] -= value * b
                 y[i, 2] -= value * c
-                place += 1
+                place += _1
         j += width
 
 
 @compiled(inline="always")
-def _eliminate_two(rows: np.ndarray, begin: int, end: int, values: np.ndarray, place: int, y: np.ndarray, j: int) -> None:
+def _eliminate_two(
+    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, j: np.uint64
+) -> None:
     """Subtract columns j and j + 1 from the rows ``begin`` to ``end``."""
     a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
-    a1, b1, c1 = y[j + 1, 0], y[j + 1, 1], y[j + 1, 2]
+    a1, b1, c1 = y[j + _1, 0], y[j + _1, 1], y[j + _1, 2]
     for k in range(begin, end):
-        i, v0, v1 = rows[k], values[place], values[place + 1]
+        i, v0, v1 = rows[k], values[place], values[place + _1]
         y[i, 0] = y[i, 0] - v0 * a0 - v1 * a1
         y[i, 1] = y[i, 1] - v0 * b0 - v1 * b1
         y[i, 2] = y[i, 2] - v0 * c0 - v1 * c1
-        place += 2
+        place += _2
 
 
 @compiled(inline="always")
-def _eliminate_four(rows: np.ndarray, begin: int, end: int, values: np.ndarray, place: int, y: np.ndarray, j: int) -> None:
+def _eliminate_four(
+    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, j: np.uint64
+) -> None:
     """Subtract columns j to j + 3 from the rows ``begin`` to ``end``."""
     a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
-    a1, b1, c1 = y[j + 1, 0], y[j + 1, 1], y[j + 1, 2]
-    a2, b2, c2 = y[j + 2, 0], y[j + 2, 1], y[j + 2, 2]
-    a3, b3, c3 = y[j + 3, 0], y[j + 3, 1], y[j + 3, 2]
+    a1, b1, c1 = y[j + _1, 0], y[j + _1, 1], y[j + _1, 2]
+    a2, b2, c2 = y[j + _2, 0], y[j + _2, 1], y[j + _2, 2]
+    a3, b3, c3 = y[j + _3, 0], y[j + _3, 1], y[j + _3, 2]
     for k in range(begin, end):
         i = rows[k]
-        v0, v1, v2, v3 = values[place], values[place + 1], values[place + 2], values[place + 3]
+        v0, v1, v2, v3 = values[place], values[place + _1], values[place + _2], values[place + _3]
         y[i, 0] = y[i, 0] - v0 * a0 - v1 * a1 - v2 * a2 - v3 * a3
         y[i, 1] = y[i, 1] - v0 * b0 - v1 * b1 - v2 * b2 - v3 * b3
         y[i, 2] = y[i, 2] - v0 * c0 - v1 * c1 - v2 * c2 - v3 * c3
-        place += 4
+        place += _4
 
 
 @compiled
@@ -235,3 +251,86 @@ def _backward(starts: np.ndarray, rows: np.ndarray, values: np.ndarray, inverse_
             b -= value * y[i, 1]
             c -= value * y[i, 2]
         y[j, 0], y[j, 1], y[j, 2] = a, b, c
+
+
+@compiled
+def _backward_blocks(
+    widths: np.ndarray,
+    first_row: np.ndarray,
+    first_value: np.ndarray,
+    rows: np.ndarray,
+    values: np.ndarray,
+    inverse_diagonal: np.ndarray,
+    y: np.ndarray,
+) -> None:
+    """G^-T D^-1 y in place from the forward pass's values: the columns of a block share one pass over the rows below it."""
+    j, below = np.uint64(len(inverse_diagonal)), np.zeros((4, 3), y.dtype)
+    for block in range(len(widths) - 1, -1, -1):
+        width = np.uint64(widths[block])
+        j -= width
+        place = np.uint64(first_value[block]) + width * (width - _1) // _2
+        begin, end = np.uint64(first_row[block]), np.uint64(first_row[block + 1])
+        below[:] = 0.0
+        if width == _4:
+            _gather_four(rows, begin, end, values, place, y, below)
+        elif width == _2:
+            _gather_two(rows, begin, end, values, place, y, below)
+        else:
+            a, b, c = below[0]
+            for k in range(begin, end):
+                i, value = rows[k], values[place]
+                a += value * y[i, 0]
+                b += value * y[i, 1]
+                c += value * y[i, 2]
+                place += _1
+            below[0, 0], below[0, 1], below[0, 2] = a, b, c
+        place = np.uint64(first_value[block]) + width * (width - _1) // _2
+        for number in range(width):  # the block's own triangle, the last column first
+            p = width - _1 - number
+            place -= number
+            for k in range(3):
+                value = y[j + p, k] * inverse_diagonal[j + p] - below[p, k]
+                for q in range(number):
+                    value -= values[place + q] * y[j + p + _1 + q, k]
+                y[j + p, k] = value
+
+
+@compiled(inline="always")
+def _gather_two(
+    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, out: np.ndarray
+) -> None:
+    """Add the products of two neighbouring columns with y to ``out`` (4, 3)."""
+    a0, b0, c0 = out[0]
+    a1, b1, c1 = out[1]
+    for k in range(begin, end):
+        i, v0, v1 = rows[k], values[place], values[place + _1]
+        a, b, c = y[i, 0], y[i, 1], y[i, 2]
+        a0, b0, c0 = a0 + v0 * a, b0 + v0 * b, c0 + v0 * c
+        a1, b1, c1 = a1 + v1 * a, b1 + v1 * b, c1 + v1 * c
+        place += _2
+    out[0, 0], out[0, 1], out[0, 2] = a0, b0, c0
+    out[1, 0], out[1, 1], out[1, 2] = a1, b1, c1
+
+
+@compiled(inline="always")
+def _gather_four(
+    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, out: np.ndarray
+) -> None:
+    """Add the products of four neighbouring columns with y to ``out`` (4, 3)."""
+    a0, b0, c0 = out[0]
+    a1, b1, c1 = out[1]
+    a2, b2, c2 = out[2]
+    a3, b3, c3 = out[3]
+    for k in range(begin, end):
+        i = rows[k]
+        v0, v1, v2, v3 = values[place], values[place + _1], values[place + _2], values[place + _3]
+        a, b, c = y[i, 0], y[i, 1], y[i, 2]
+        a0, b0, c0 = a0 + v0 * a, b0 + v0 * b, c0 + v0 * c
+        a1, b1, c1 = a1 + v1 * a, b1 + v1 * b, c1 + v1 * c
+        a2, b2, c2 = a2 + v2 * a, b2 + v2 * b, c2 + v2 * c
+        a3, b3, c3 = a3 + v3 * a, b3 + v3 * b, c3 + v3 * c
+        place += _4
+    out[0, 0], out[0, 1], out[0, 2] = a0, b0, c0
+    out[1, 0], out[1, 1], out[1, 2] = a1, b1, c1
+    out[2, 0], out[2, 1], out[2, 2] = a2, b2, c2
+    out[3, 0], out[3, 1], out[3, 2] = a3, b3, c3

@@ -14,6 +14,7 @@ from ..caches.compiled import compiled
 GAIN, OFFSET = 0.3, 20.0
 #: Longest step of a round, px.
 _LONGEST = 1.5
+_ONE = np.uint32(1)
 
 
 @compiled(nogil=True)
@@ -29,6 +30,7 @@ def align_patches(
     precision: np.ndarray,
     rounds: int,
     floor: float,
+    stride: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Align patches with a picture by Gauss-Newton.
 
@@ -50,6 +52,8 @@ def align_patches(
         Number of rounds.
     floor : float
         Least variance of a channel.
+    stride : int
+        Every so many samples of a patch stand for all of them.
 
     Returns
     -------
@@ -63,6 +67,7 @@ def align_patches(
     light[:, 0] = 1.0
     gains, rests = np.zeros((n, 2, 2)), np.zeros((n, 2))  # of the brightness: per unit of shift, and without a shift
     whole = np.zeros((2 * n, 2 * n))
+    first = _first_columns(precision)
     for _ in range(rounds):
         right = (precision @ (detected - shift)).ravel()
         for i in range(n):
@@ -72,22 +77,24 @@ def align_patches(
                     whole[2 * i + k, 2 * j + 1 - k] = 0.0
         for i in range(n):
             a, b = starts[seen[i]], starts[seen[i] + 1]
-            h, g = _normal_equations(images, pixels[a:b], weights[a:b], colours[a:b], shift[i], light[i], floor)
+            part = slice(a, b, stride)
+            h, g = _normal_equations(images, pixels[part], weights[part], colours[part], shift[i], light[i], floor)
+            h, g = stride * h, stride * g
             _eliminate_light(h, g, light[i], gains[i], rests[i])
             for k in range(2):
                 right[2 * i + k] += g[k]
                 for m in range(2):
                     whole[2 * i + k, 2 * i + m] += h[k, m]
-        step = np.linalg.solve(whole, right)
+        _factorise(whole, first)
+        step = _solve(whole, first, right)
         for i in range(n):
             for k in range(2):
                 step[2 * i + k] = min(max(step[2 * i + k], -_LONGEST), _LONGEST)
                 shift[i, k] += step[2 * i + k]
             for k in range(2):
                 light[i, k] += rests[i, k] - gains[i, k, 0] * step[2 * i] - gains[i, k, 1] * step[2 * i + 1]
-    covariance, variance = np.linalg.inv(whole), np.empty(n)
-    for i in range(n):
-        variance[i] = 0.5 * (covariance[2 * i, 2 * i] + covariance[2 * i + 1, 2 * i + 1])
+    diagonal = _inverse_diagonal(whole, first)
+    variance = 0.5 * (diagonal[0::2] + diagonal[1::2])
     return shift, variance
 
 
@@ -114,14 +121,14 @@ def _normal_equations(
             continue
         x = min(max(pixels[q, 0] + shift[0], 0.0), width - 1.001)
         y = min(max(pixels[q, 1] + shift[1], 0.0), height - 1.001)
-        i, j = int(y), int(x)
-        b, a = y - i, x - j
+        i, j = np.uint32(y), np.uint32(x)  # unsigned: numba tests each signed index for being negative
+        b, a = np.float32(y - i), np.float32(x - j)
         for k in range(3):
             image = images[k]
             for c in range(3):
-                above = (1 - a) * image[i, j, c] + a * image[i, j + 1, c]
-                below = (1 - a) * image[i + 1, j, c] + a * image[i + 1, j + 1, c]
-                values[q, k, c] = (1 - b) * above + b * below
+                above = image[i, j, c] + a * (image[i, j + _ONE, c] - image[i, j, c])
+                below = image[i + _ONE, j, c] + a * (image[i + _ONE, j + _ONE, c] - image[i + _ONE, j, c])
+                values[q, k, c] = above + b * (below - above)
         values[q, 0, 0] -= light[0] * colours[q, 0] + light[1]
         values[q, 0, 1] -= colours[q, 1]
         values[q, 0, 2] -= colours[q, 2]
@@ -175,3 +182,57 @@ def _eliminate_light(h: np.ndarray, g: np.ndarray, light: np.ndarray, gains: np.
         g[k] -= h[2, k] * rests[0] + h[3, k] * rests[1]
         for m in range(2):
             h[k, m] -= h[2, k] * gains[0, m] + h[3, k] * gains[1, m]
+
+
+@compiled(nogil=True)
+def _first_columns(precision: np.ndarray) -> np.ndarray:
+    """(2 n,) the first column that is not zero in each row of the whole matrix: regions err on their own."""
+    first = np.zeros(2 * len(precision), np.int64)
+    for i in range(len(precision)):
+        j = 0
+        while j < i and precision[i, j] == 0.0:
+            j += 1
+        first[2 * i] = first[2 * i + 1] = 2 * j
+    return first
+
+
+@compiled(nogil=True)
+def _factorise(matrix: np.ndarray, first: np.ndarray) -> None:
+    """The lower Cholesky factor in place, of rows that begin at the columns ``first`` (2 n,)."""
+    for i in range(len(matrix)):
+        for j in range(first[i], i + 1):
+            total = matrix[i, j]
+            for k in range(max(first[i], first[j]), j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = np.sqrt(total) if i == j else total / matrix[j, j]
+
+
+@compiled(nogil=True)
+def _solve(factor: np.ndarray, first: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """x (2 n,) of L L^T x = right."""
+    x = right.copy()
+    for i in range(len(x)):
+        for j in range(first[i], i):
+            x[i] -= factor[i, j] * x[j]
+        x[i] /= factor[i, i]
+    for i in range(len(x) - 1, -1, -1):
+        x[i] /= factor[i, i]
+        for j in range(first[i], i):
+            x[j] -= factor[i, j] * x[i]
+    return x
+
+
+@compiled(nogil=True)
+def _inverse_diagonal(factor: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """(2 n,) the diagonal of (L L^T)^-1: squared lengths of the columns of L^-1."""
+    count = len(factor)
+    diagonal, inverse = np.zeros(count), np.zeros((count, count))
+    for i in range(count):
+        for k in range(first[i], i):
+            for j in range(first[k], k + 1):
+                inverse[i, j] -= factor[i, k] * inverse[k, j]
+        inverse[i, i] = 1.0
+        for j in range(first[i], i + 1):
+            inverse[i, j] /= factor[i, i]
+            diagonal[j] += inverse[i, j] ** 2
+    return diagonal

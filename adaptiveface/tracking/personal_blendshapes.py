@@ -35,6 +35,59 @@ def _accumulate(moments: np.ndarray, x: np.ndarray, residual: np.ndarray, weight
             moments[i, j] = np.float32(decay) * moments[i, j] + factor * residual[j]
 
 
+#: So many vertices are solved for side by side: each step of the factorisation is one loop over them.
+_LANES = 32
+
+
+@compiled(nogil=True)
+def _solutions(gram: np.ndarray, moments: np.ndarray, deviations: np.ndarray, noise: float, lanes: int) -> np.ndarray:
+    """(A, m, 3) dB of m vertices: D z of (D G D + ``noise`` 1) z = D R with a vertex's ``deviations`` (m, A + 1) in D.
+
+    By Cholesky factors, with the right-hand sides R = ``moments`` (A + 1, m, 3) beside them.
+    """
+    size, count = len(gram), len(deviations)
+    out = np.empty((size - 1, count, 3))
+    d, factor, right = np.zeros((size, lanes)), np.empty((size, size, lanes)), np.zeros((size, 3, lanes))
+    for first in range(0, count, lanes):
+        used = min(lanes, count - first)
+        for i in range(size):
+            for v in range(used):
+                d[i, v] = deviations[first + v, i]
+                for k in range(3):
+                    right[i, k, v] = d[i, v] * moments[i, first + v, k]
+        for i in range(size):  # the lower factor, row by row, and the right-hand sides through it
+            for j in range(i + 1):
+                row = factor[i, j]
+                for v in range(lanes):
+                    row[v] = d[i, v] * gram[i, j] * d[j, v]
+                for k in range(j):
+                    _take_off(row, factor[i, k], factor[j, k])
+                if j < i:
+                    row /= factor[j, j]
+            row = factor[i, i]
+            for v in range(lanes):
+                row[v] = np.sqrt(row[v] + noise)
+            for k in range(3):
+                for j in range(i):
+                    _take_off(right[i, k], factor[i, j], right[j, k])
+                right[i, k] /= row
+        for i in range(size - 1, -1, -1):
+            for k in range(3):
+                right[i, k] /= factor[i, i]
+                for j in range(i):
+                    _take_off(right[j, k], factor[i, j], right[i, k])
+                if i < size - 1:
+                    for v in range(used):
+                        out[i, first + v, k] = d[i, v] * right[i, k, v]
+    return out
+
+
+@compiled(inline="always")
+def _take_off(target: np.ndarray, first: np.ndarray, second: np.ndarray) -> None:
+    for v in range(len(target)):
+        target[v] -= first[v] * second[v]
+
+
 class PersonalBlendshapes:
     """Learns the change dB of the expressions over the n frontal vertices.
 
@@ -119,10 +172,7 @@ class PersonalBlendshapes:
         return True
 
     def _solution(self, part: slice) -> np.ndarray:
-        """(A, m, 3) dB of a slice of m vertices: (D G D + noise^2 1) z = D R with dB = D z and D the prior's deviations."""
-        d = self._deviations[part]
-        matrices = d[:, :, None] * self._gram * d[:, None, :]
-        matrices += self.parameters.noise**2 * np.eye(d.shape[1])
-        moments = self._moments.reshape(len(self._gram), -1, 3)[:, part].transpose(1, 0, 2)
-        solved = d[:, :, None] * np.linalg.solve(matrices, d[:, :, None] * moments)
-        return solved[:, :-1].transpose(1, 0, 2)
+        """(A, m, 3) dB of a slice of m vertices."""
+        moments = self._moments.reshape(len(self._gram), -1, 3)[:, part]
+        solved: np.ndarray = _solutions(self._gram, moments, self._deviations[part], self.parameters.noise**2, _LANES)
+        return solved

@@ -37,6 +37,11 @@ class FrontalRegion:
         """Unit normals (n, 3) of the region of a ``mesh`` (N, 3)."""
         return vertex_normals(mesh.take(self.vertices, axis=0), self._triangles)
 
+    @property
+    def normals_at_rest(self) -> np.ndarray:
+        """(n, 3) unit normals of the neutral."""
+        return vertex_normals(self.neutral, self._triangles)
+
     def difference(self, mesh: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Displacement (3n,) of the region from the mesh ``origin`` (N, 3) to ``mesh`` (N, 3), mm."""
         moved: np.ndarray = _differences(mesh, origin, self.vertices).ravel()

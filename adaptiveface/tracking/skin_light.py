@@ -25,12 +25,28 @@ _ROUNDS = 2
 
 
 @compiled(nogil=True)
-def robust(residuals: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Weights in (0, 1] of residuals (Q, 3) with these variances: a quarter for one of 1.7 standard deviations."""
-    weights = np.empty(residuals.shape)
+def row_weights(
+    residuals: np.ndarray, counts: np.ndarray, variances: np.ndarray, shares: np.ndarray, believed: np.ndarray
+) -> np.ndarray:
+    """Weights (Q, 3) of the colours' rows, from residuals (Q, 3) with ``variances`` (Q, 3) where a picture fits best.
+
+    A sample counts by its ``counts`` (Q,) and ``shares`` (Q, 3), a channel as far as it is ``believed`` (3,). Where all fit
+    worse than the variances say, all variances grow. A residual of 1.7 standard deviations counts a quarter.
+    """
+    weights, misfit, total = np.zeros(residuals.shape), np.zeros(3), 1e-12
     for q in range(len(residuals)):
-        for c in range(3):
-            weights[q, c] = (1.0 + residuals[q, c] ** 2 / (3.0 * variances[q, c])) ** -2
+        if counts[q] > 0.0:
+            total += counts[q]
+            for c in range(3):
+                misfit[c] += counts[q] * residuals[q, c] ** 2 / variances[q, c]
+    for c in range(3):
+        misfit[c] = max(misfit[c] / total, 1.0)
+    for q in range(len(residuals)):
+        if counts[q] > 0.0:
+            for c in range(3):
+                certain = 1.0 / (misfit[c] * variances[q, c])
+                robust = 1.0 / (1.0 + residuals[q, c] ** 2 * certain / 3.0)
+                weights[q, c] = believed[c] * shares[q, c] * counts[q] * certain * robust * robust
     return weights
 
 
@@ -93,6 +109,7 @@ def in_light(light: np.ndarray, colours: np.ndarray, normals: np.ndarray) -> np.
     return expected
 
 
+@compiled(nogil=True)
 def trust(residuals: np.ndarray, expected: np.ndarray, weights: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """(3,) in [0, 1]: how far the channels are believed, by what the expected colours (Q, 3) explain of themselves.
 
@@ -100,11 +117,23 @@ def trust(residuals: np.ndarray, expected: np.ndarray, weights: np.ndarray, coun
     against it. Each by itself, and all of them by the sum: a colour that changes little over the face fits where all is
     displaced, too.
     """
-    left = np.maximum(np.einsum("qc,qc,qc->c", weights, residuals, residuals) - counts.sum(), 0.0)
-    total = np.maximum(weights.sum(axis=0), 1e-12)
-    middle = np.einsum("qc,qc->c", weights, expected) / total
-    there = np.maximum(np.einsum("qc,qc,qc->c", weights, expected, expected) - total * middle**2, 0.0)
-    explained = 1.0 - np.append(left, left.sum()) / np.maximum(np.append(there, there.sum()), 1e-12)
-    share = np.clip((explained - EXPLAINED[0]) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
+    left, total, first, second, seen = np.zeros(3), np.full(3, 1e-12), np.zeros(3), np.zeros(3), 0.0
+    for q in range(len(counts)):
+        if counts[q] == 0.0:
+            continue
+        seen += counts[q]
+        for c in range(3):
+            weight = weights[q, c]
+            left[c] += weight * residuals[q, c] ** 2
+            total[c] += weight
+            first[c] += weight * expected[q, c]
+            second[c] += weight * expected[q, c] ** 2
+    left = np.maximum(left - seen, 0.0)
+    there = np.maximum(second - first**2 / total, 0.0)
+    explained = np.empty(4)
+    for c in range(3):
+        explained[c] = 1.0 - left[c] / max(there[c], 1e-12)
+    explained[3] = 1.0 - left.sum() / max(there.sum(), 1e-12)
+    share = np.minimum(np.maximum((explained - EXPLAINED[0]) / (EXPLAINED[1] - EXPLAINED[0]), 0.0), 1.0)
     believed: np.ndarray = share[3] * share[:3]
     return believed

@@ -13,6 +13,10 @@ from ..caches.compiled import compiled
 FACING = (0.35, 0.65)
 #: The residuals of so many neighbouring pixels count as one: what a picture cannot explain is no white noise.
 CORRELATED = 3.0
+_ONE = np.uint32(1)
+
+
+# Numbers of corners and pixels are made unsigned: numba tests each signed index for being negative.
 
 
 @compiled(nogil=True)
@@ -26,22 +30,22 @@ def carry(
     """
     points, normals, counts = np.empty((len(triangles), 3)), np.empty((len(triangles), 3)), np.zeros(len(triangles))
     for q in range(len(triangles)):
-        a, b, c = triangles[q]
-        along, length, distance = 0.0, 0.0, 0.0
-        for k in range(3):
-            i, j = (k + 1) % 3, (k + 2) % 3
-            points[q, k] = corners[q, 0] * vertices[a, k] + corners[q, 1] * vertices[b, k] + corners[q, 2] * vertices[c, k]
-            first = (vertices[b, i] - vertices[a, i]) * (vertices[c, j] - vertices[a, j])
-            normals[q, k] = first - (vertices[b, j] - vertices[a, j]) * (vertices[c, i] - vertices[a, i])
-            along += normals[q, k] * points[q, k]
-            length += normals[q, k] ** 2
-            distance += points[q, k] ** 2
-        length = max(np.sqrt(length), 1e-12)
-        for k in range(3):
-            normals[q, k] /= length
+        a, b, c = np.uint32(triangles[q, 0]), np.uint32(triangles[q, 1]), np.uint32(triangles[q, 2])
+        r, s, t = corners[q, 0], corners[q, 1], corners[q, 2]
+        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        bx, by, bz = vertices[b, 0], vertices[b, 1], vertices[b, 2]
+        cx, cy, cz = vertices[c, 0], vertices[c, 1], vertices[c, 2]
+        x, y, z = r * ax + s * bx + t * cx, r * ay + s * by + t * cy, r * az + s * bz + t * cz
+        bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        scale = 1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+        points[q, 0], points[q, 1], points[q, 2] = x, y, z
+        normals[q, 0], normals[q, 1], normals[q, 2] = nx, ny, nz
         if measured[a] and measured[b] and measured[c]:
-            facing = (-along / (length * np.sqrt(distance)) - FACING[0]) / (FACING[1] - FACING[0])
-            counts[q] = min(max(facing, 0.0), 1.0) * min((reach / points[q, 2]) ** 2, 1.0) / CORRELATED
+            cosine = -(nx * x + ny * y + nz * z) / np.sqrt(x * x + y * y + z * z)
+            facing = (cosine - FACING[0]) / (FACING[1] - FACING[0])
+            counts[q] = min(max(facing, 0.0), 1.0) * min((reach / z) ** 2, 1.0) / CORRELATED
     return points, normals, counts
 
 
@@ -62,12 +66,12 @@ def look_up(image: np.ndarray, points: np.ndarray, lens: tuple[float, float, flo
         if not (0.0 <= x < width - 1 and 0.0 <= y < height - 1):
             counts[q] = 0.0
             continue
-        i, j = int(y), int(x)
-        b, a = y - i, x - j
+        i, j = np.uint32(y), np.uint32(x)
+        b, a = np.float32(y - i), np.float32(x - j)
         for c in range(3):
-            above = (1 - a) * image[i, j, c] + a * image[i, j + 1, c]
-            below = (1 - a) * image[i + 1, j, c] + a * image[i + 1, j + 1, c]
-            values[q, c] = (1 - b) * above + b * below
+            above = image[i, j, c] + a * (image[i, j + _ONE, c] - image[i, j, c])
+            below = image[i + _ONE, j, c] + a * (image[i + _ONE, j + _ONE, c] - image[i + _ONE, j, c])
+            values[q, c] = above + b * (below - above)
     return values
 
 
@@ -84,33 +88,34 @@ def normal_equations(
 
     slopes (Q, 3, 2): how the channels change along the two edges from a triangle's first corner; g is the vector within
     the triangle that says so. vertices (n, 3) in the camera frame; rotation (3, 3) head to camera.
+
+    Summed over the channels in the coordinates along the edges, and turned into the head frame once.
     """
     count = len(triangles)
     matrices, forces = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    first, second, row, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    first, second = np.empty(3), np.empty(3)
     for q in range(count):
         if weights[q, 0] == 0.0 and weights[q, 1] == 0.0 and weights[q, 2] == 0.0:
             continue
-        a, b, c = triangles[q]
-        aa, ab, bb = 0.0, 0.0, 0.0
+        a, b, c = np.uint32(triangles[q, 0]), np.uint32(triangles[q, 1]), np.uint32(triangles[q, 2])
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        aa, ab, bb = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+        scale = 1.0 / max(aa * bb - ab * ab, 1e-9)
+        aa, ab, bb = aa * scale, ab * scale, bb * scale
+        xx, xy, yy, fx, fy = 0.0, 0.0, 0.0, 0.0, 0.0
+        for channel in range(3):
+            weight, along, across = weights[q, channel], slopes[q, channel, 0], slopes[q, channel, 1]
+            x, y = bb * along - ab * across, aa * across - ab * along
+            pull = -weight * residuals[q, channel]
+            fx, fy = fx + pull * x, fy + pull * y
+            xx, xy, yy = xx + weight * x * x, xy + weight * x * y, yy + weight * y * y
         for k in range(3):
-            first[k], second[k] = vertices[b, k] - vertices[a, k], vertices[c, k] - vertices[a, k]
-            aa += first[k] * first[k]
-            ab += first[k] * second[k]
-            bb += second[k] * second[k]
-        area = max(aa * bb - ab * ab, 1e-9)
-        for c in range(3):
-            weight = weights[q, c]
-            if weight == 0.0:
-                continue
-            x = (bb * slopes[q, c, 0] - ab * slopes[q, c, 1]) / area
-            y = (aa * slopes[q, c, 1] - ab * slopes[q, c, 0]) / area
-            for k in range(3):
-                row[k] = x * first[k] + y * second[k]
-            for k in range(3):
-                turned[k] = rotation[0, k] * row[0] + rotation[1, k] * row[1] + rotation[2, k] * row[2]
-            for k in range(3):
-                forces[q, k] -= weight * residuals[q, c] * turned[k]
-                for m in range(3):
-                    matrices[q, k, m] += weight * turned[k] * turned[m]
+            first[k] = rotation[0, k] * ux + rotation[1, k] * uy + rotation[2, k] * uz
+            second[k] = rotation[0, k] * vx + rotation[1, k] * vy + rotation[2, k] * vz
+        for k in range(3):
+            forces[q, k] = fx * first[k] + fy * second[k]
+            left, right = xx * first[k] + xy * second[k], xy * first[k] + yy * second[k]
+            for m in range(3):
+                matrices[q, k, m] = left * first[m] + right * second[m]
     return matrices, forces

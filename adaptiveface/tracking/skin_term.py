@@ -33,6 +33,11 @@ class SkinTerm:
         right: np.ndarray = _spread(self.corners, self.shares, self.pulls, count)
         return right
 
+    def totals(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sums of the matrices (3, 3) and of the pulls (3,): the rows of a motion that all samples share."""
+        matrix, pull = _totals(self.matrices, self.pulls)
+        return matrix, pull
+
     @classmethod
     def about(
         cls, corners: np.ndarray, shares: np.ndarray, matrices: np.ndarray, forces: np.ndarray, displacement: np.ndarray
@@ -68,3 +73,15 @@ def _spread(corners: np.ndarray, shares: np.ndarray, forces: np.ndarray, count: 
             out[i, 1] += share * forces[q, 1]
             out[i, 2] += share * forces[q, 2]
     return out
+
+
+@compiled(nogil=True)
+def _totals(matrices: np.ndarray, pulls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sums over the samples: NumPy takes five times as long for so short rows."""
+    matrix, pull = np.zeros((3, 3)), np.zeros(3)
+    for q in range(len(pulls)):
+        for k in range(3):
+            pull[k] += pulls[q, k]
+            for m in range(3):
+                matrix[k, m] += matrices[q, k, m]
+    return matrix, pull

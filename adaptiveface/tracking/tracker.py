@@ -25,6 +25,7 @@ from .feature_rows import reprojection_errors
 from .personal_blendshapes import PersonalBlendshapes
 from .printed import depth_offsets, offsets_at_features
 from .rigid import RigidFit
+from .skin_term import SkinTerm
 from .stages import Stages
 from .state import TrackerState
 from .types import STAGE_NAMES, SampleState, TrackedFrame
@@ -49,6 +50,7 @@ class FaceTracker(Tracker):
 
     def __init__(self, actor: Actor, parameters: Parameters | None = None, stages: Stages | None = None) -> None:
         super().__init__(actor, parameters, stages)
+        self._middle = self.region.neutral.mean(axis=0)
         self._outline = self.region.neutral[::5]  # dense enough to know where the face is
         self._may_match = actor.depth_valid[actor.frontal]
 
@@ -243,13 +245,14 @@ class FaceTracker(Tracker):
                 return self._deform_to_depth(frame, pose, v1, matches), clock
             p, planes = self.parameters, matches.normals @ pose[:3, :3]
             term = self._feature_term(frame, pose, v1, p.laplacian.feature_weight, hold_depth=False)
-            d = looks.deformation.deform(matches, planes, term, self.state.deformation, p.skin.cg_iterations, looks.first)
-        for _ in range(1, p.skin.looks):
-            with timed(ms, "skin"):
-                colours = looks.again(d)
+        d = self.state.deformation
+        colours: SkinTerm | None = looks.first
+        for left in range(p.skin.looks - 1, -1, -1):
             with timed(ms, "laplacian"):
-                if colours is not None:
-                    d = looks.deformation.deform(matches, planes, term, d, p.skin.cg_iterations, colours)
+                if colours is not None:  # before the last look, smooth motion is enough
+                    d = looks.deformation.deform(matches, planes, term, d, 0 if left else p.skin.cg_iterations, colours)
+            with timed(ms, "skin"):
+                colours = looks.again(d) if left else None
         return d, clock
 
     def _looks(
@@ -262,8 +265,7 @@ class FaceTracker(Tracker):
         vertices, clock = v1.take(self.region.vertices, axis=0), clock.after(frame)
         looks = self.skin.look(frame, pose, vertices, last.deformation, matches.weights > 0)
         if looks is not None and last.pose is not None:
-            middle = self.region.neutral.mean(axis=0, keepdims=True)
-            motion = transform_points(pose, middle)[0] - transform_points(last.pose, middle)[0]
+            motion = transform_points(pose, self._middle) - transform_points(last.pose, self._middle)
             clock = clock.seen(looks.first, pose[:3, :3], motion)
         return None if clock.late else looks, clock
 
