@@ -6,6 +6,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from scipy.linalg import eigh
 from scipy.ndimage import map_coordinates
 
 from adaptiveface.errors import FileFormatError
@@ -21,6 +23,7 @@ from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking import skin_light, skin_samples
 from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation
 from adaptiveface.tracking.skin_term import SkinTerm
+from adaptiveface.tracking.slow_modes import slowest_modes
 from adaptiveface.tracking.tracker import FaceTracker
 
 ON, OFF = Parameters().replace(skin__on=True), Parameters().replace(skin__on=False)
@@ -225,6 +228,28 @@ def test_conjugate_gradients_reach_the_minimum_of_depth_and_colour():
     bounded = deformation.bounded(np.full(n, 0.1))
     found = bounded.deform(matches, normals, none, np.zeros((n, 3)), 60, skin)
     np.testing.assert_allclose(found, exact, atol=1e-6 * np.abs(exact).max())
+
+
+def test_slow_modes_are_the_first_eigenvectors():
+    rng = np.random.default_rng(2)
+    factor, bound = rng.standard_normal((30, 40)), rng.uniform(0.5, 2, 40)
+    modes, values = slowest_modes(sp.csr_matrix(factor.T @ factor), bound, 12)
+    expected = eigh(factor.T @ factor, np.diag(bound), eigvals_only=True)[:12]
+    np.testing.assert_allclose(values, expected, atol=1e-9 * expected.max())
+    np.testing.assert_allclose(modes.T @ (bound[:, None] * modes), np.eye(12), atol=1e-9)
+
+
+def test_a_step_in_the_slow_modes_saves_iterations(actor, frames, monkeypatch):
+    """From the last frame's displacement: with it one iteration comes nearer to the solution than three without."""
+    calls, deform = [], LaplacianDeformation.deform
+    monkeypatch.setattr(LaplacianDeformation, "deform", lambda *args: calls.append(args) or deform(*args))
+    v2_of(actor, frames[:4], ON)
+    deformation, *matched, start, _, skin = calls[-2]  # the first look at the last frame
+    exact = deform(deformation, *matched, start, 60, skin)
+    with_modes = deform(deformation, *matched, start, 1, skin)
+    deformation.slow = None
+    without = deform(deformation, *matched, start, 3, skin)
+    assert np.linalg.norm(with_modes - exact) < np.linalg.norm(without - exact) < 0.7 * np.linalg.norm(start - exact)
 
 
 def test_motion_within_the_surface_is_followed(sensor, actor, frames):

@@ -12,7 +12,7 @@ from adaptiveface.model.actor import Actor
 from adaptiveface.parameters import Parameters, PersonalBlendshapesParameters
 from adaptiveface.result import Result
 from adaptiveface.retargeting.retarget import driving_coefficients
-from adaptiveface.tracking.personal_blendshapes import PersonalBlendshapes
+from adaptiveface.tracking.personal_blendshapes import PersonalBlendshapes, _solutions
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import SampleState
 from adaptiveface.views.replay import Replay
@@ -45,6 +45,17 @@ def test_a_persons_own_expressions_are_found():
     change = 0.2 * np.random.default_rng(5).normal(size=basis.shape) * np.linalg.norm(basis, axis=2, keepdims=True)
     error = learned(basis, change).change - change
     assert np.sqrt((error**2).mean()) < 0.03 * np.sqrt((change**2).mean())
+
+
+def test_the_meshes_are_those_of_the_equation():
+    """For each vertex (D G D + noise 1) z = D R, against NumPy; more vertices than are solved for side by side."""
+    rng = np.random.default_rng(4)
+    rows, moments, deviations = rng.standard_normal((50, 6)), rng.standard_normal((6, 20, 3)), rng.uniform(0, 1, (20, 6))
+    gram = rows.T @ rows
+    found = _solutions(gram, moments, deviations, 4.0, 8)
+    for v, d in enumerate(deviations):
+        z = np.linalg.solve(d[:, None] * gram * d + 4.0 * np.eye(6), d[:, None] * moments[:, v])
+        np.testing.assert_allclose(found[:, v], (d[:, None] * z)[:-1], rtol=1e-9, atol=1e-12)
 
 
 def test_expressions_change_only_where_they_move():
