@@ -46,6 +46,7 @@ OLD_NAMES: dict[str, dict[str, str]] = {
 #: Module -> its old names -> module and name of today.
 OLD_OBJECTS: dict[str, dict[str, tuple[str, str]]] = {
     "adaptiveface.views": {"Workbench": ("adaptiveface.views.stage_explorer", "StageExplorer")},
+    "adaptiveface.retargeting.character": {"load_character": ("adaptiveface.retargeting.loading", "load_character")},
 }
 
 #: Module -> where it is now.

@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw
 
 from adaptiveface.livelink import ARKIT_NAMES, LiveLinkTake, read_take, write_take
 from adaptiveface.livelink.convention import rotations
-from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.portrait import FACING, portrait
 
 PICTURE = Path(__file__).parent / "images" / "livelink.jpg"

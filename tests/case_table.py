@@ -45,7 +45,7 @@ def export(result: Path, character: Path, out: Path) -> str:
 def brow(path: Path) -> float:
     """mm that browInnerUp at 1 moves the vertex that it moves most."""
     from adaptiveface.retargeting.arkit import ARKIT_NAMES
-    from adaptiveface.retargeting.character import load_character
+    from adaptiveface.retargeting.loading import load_character
 
     character = load_character(path)
     curves = np.zeros((2, len(ARKIT_NAMES)))

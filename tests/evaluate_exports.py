@@ -31,7 +31,7 @@ from adaptiveface.export.obj_sequence import write_obj_sequence
 from adaptiveface.export.point_cache import write_point_cache
 from adaptiveface.export.usd import write_usd
 from adaptiveface.livelink import read_take
-from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import retarget
 
 REAL_TAKE = Path(__file__).resolve().parents[2] / "shared/recordings/people/arkit/range_of_motion.csv"

@@ -13,7 +13,7 @@ from adaptiveface.model.actor import Actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.result import Result
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
-from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import retarget
 from adaptiveface.synthetic.script import HeadMotion, performance
 from adaptiveface.tracking.types import STAGE_NAMES

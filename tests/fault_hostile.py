@@ -565,12 +565,13 @@ def main() -> None:
     import adaptiveface.pipeline
     import adaptiveface.retargeting.character
     import adaptiveface.retargeting.gltf_character
+    import adaptiveface.retargeting.loading
     import adaptiveface.retargeting.obj_folder
     import adaptiveface.sensors.record3d
     import adaptiveface.sensors.webcam
     from adaptiveface.cli import main as command
 
-    adaptiveface.retargeting.character.load_character("hag")
+    adaptiveface.retargeting.loading.load_character("hag")
     Path("/proc/self/clear_refs").write_text("5")  # the peak so far is forgotten
     before, start = peak_kib(), time.perf_counter()
     with contextlib.redirect_stdout(io.StringIO()):

@@ -81,6 +81,27 @@ def test_no_packages_import_each_other_in_a_circle():
     assert not below
 
 
+def needed_by(path: Path) -> set[Path]:
+    """The files of ours that a file imports, also inside functions, but not for type checkers alone."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    checked = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
+    skipped = {id(inside) for branch in checked for inside in ast.walk(branch)}
+    found: set[Path] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in skipped:
+            home = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+            for name in (home / alias.name for alias in node.names):
+                found |= {file for file in (name.with_suffix(".py"), name / "__init__.py") if file.is_file()} or {home}
+    return {file.with_suffix(".py") if file.with_suffix(".py").is_file() else file for file in found} - {path}
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    below = {path: needed_by(path) for path in files() if path.name != "__init__.py"}
+    while ready := {path for path, others in below.items() if not others & set(below)}:
+        below = {path: others for path, others in below.items() if path not in ready}
+    assert not below, sorted(str(path.relative_to(PACKAGE)) for path in below)
+
+
 def test_the_stub_declares_what_the_package_exports():
     """Names are imported on first use, which type checkers cannot follow; __init__.pyi tells them."""
     tree = ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8"))

@@ -35,7 +35,7 @@ from adaptiveface.export.gltf import write_glb
 from adaptiveface.livelink.convention import EYE_PITCH, EYE_YAW
 from adaptiveface.retargeting import gltf_compressed
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
-from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import Performance
 from adaptiveface.retargeting.vrm_presets import preset_weights
 

@@ -13,7 +13,8 @@ from adaptiveface import cli
 from adaptiveface.errors import FileFormatError, MissingExtraError
 from adaptiveface.retargeting import gltf_compressed
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
-from adaptiveface.retargeting.character import Character, load_character
+from adaptiveface.retargeting.character import Character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import undriven
 
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases" / "characters"

@@ -10,7 +10,7 @@ from written import read_glb_animation
 
 from adaptiveface.export.animation import actor_animation, character_animation, in_slider_range
 from adaptiveface.export.gltf import write_glb
-from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import retarget
 
 FRAMES = (0, 7, 15, 23)

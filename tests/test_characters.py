@@ -24,7 +24,8 @@ from adaptiveface.geometry.mesh import boundary_edges, surface_points
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.retargeting import BUILT_IN
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights, canonical_name
-from adaptiveface.retargeting.character import Character, load_character
+from adaptiveface.retargeting.character import Character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.portrait import portrait
 from adaptiveface.retargeting.retarget import Performance, coverage
 

@@ -15,7 +15,8 @@ from written import read_glb_animation
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
 from adaptiveface.export.animation import AnimatedMesh
 from adaptiveface.export.gltf import write_glb
-from adaptiveface.retargeting.character import Character, load_character
+from adaptiveface.retargeting.character import Character
+from adaptiveface.retargeting.loading import load_character
 
 MUTATIONS, LONGEST_S = 600, 5.0  # of processor time
 

@@ -28,7 +28,7 @@ from adaptiveface.export.stream import LOOPBACK, Address, Streamer
 from adaptiveface.export.video import PANEL, character_panel, side_by_side, tracked_panel, write_video
 from adaptiveface.retargeting import BUILT_IN
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
-from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import retarget
 
 METRE, CURVE = 1e-5 * 1e3, 1e-4  # the limits of a round trip: 1e-5 m in mm, and of curves

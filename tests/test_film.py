@@ -16,7 +16,7 @@ from adaptiveface.export.video import AHEAD, PANEL, side_by_side, tracked_panel,
 from adaptiveface.geometry import rendering
 from adaptiveface.geometry.painting import lit, paint
 from adaptiveface.geometry.rendering import picture
-from adaptiveface.retargeting.character import load_character
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.portrait import FACING, painted_portrait, portrait
 from adaptiveface.runtime.timing import duration
 from adaptiveface.sensors.recording import Recording, RecordingWriter

@@ -17,7 +17,7 @@ from export_scene import tracked_result  # noqa: E402
 from adaptiveface.errors import MissingExtraError, ParameterError  # noqa: E402
 from adaptiveface.model.face_model import embedded_face_model  # noqa: E402
 from adaptiveface.neutral.fuse import FusedScan  # noqa: E402
-from adaptiveface.retargeting.character import load_character  # noqa: E402
+from adaptiveface.retargeting.loading import load_character  # noqa: E402
 
 
 @pytest.fixture(scope="module")

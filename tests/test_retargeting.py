@@ -19,8 +19,9 @@ from adaptiveface.model.blendshapes import deformation_transfer
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.parameters import BlendshapeParameters, Parameters
 from adaptiveface.retargeting.arkit import ARKIT_NAMES, arkit_weights
-from adaptiveface.retargeting.character import Character, load_character
+from adaptiveface.retargeting.character import Character
 from adaptiveface.retargeting.correctives import carried_correctives, transferred_correctives
+from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.resolve import blendshape_parameters
 from adaptiveface.retargeting.retarget import driving_coefficients, increasing, retarget
 from adaptiveface.retargeting.smoothing import (

@@ -93,7 +93,7 @@ def _check_demo(args: argparse.Namespace) -> None:
     outputs = {"actor.npz": "actor", "result.npz": "result", "report.html": "html"}
     if args.character:
         from ..export.command import demo_character_files
-        from ..retargeting.character import load_character
+        from ..retargeting.loading import load_character
 
         outputs |= demo_character_files(load_character(args.character))
     for name, kind in outputs.items():

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from ..errors import ParameterError
 from ..files import check_output, check_output_folder
@@ -19,31 +16,16 @@ from ..result import Result
 from ..retargeting import COEFFICIENTS, UNITS
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.arkit_resolve import has_units
-from ..retargeting.character import Character, is_gltf, load_character
+from ..retargeting.character import Character, is_gltf
 from ..retargeting.correctives import carried_correctives
-from ..retargeting.retarget import Performance, coverage, driving_names, retarget
+from ..retargeting.loading import load_character
+from ..retargeting.retarget import coverage, driving_names, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
 from ..runtime.timing import clean_times, increasing
-from .animation import AnimatedMesh, actor_animation, character_animation, size_text, with_correctives
+from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
 from .inside_parts import actor_insides, with_insides
-
-
-@dataclass(frozen=True)
-class ExportOptions:
-    """The options of an export, as in ``adaptiveface export --help``."""
-
-    character: str = "actor"
-    coefficients: str = "resolved"
-    smoothing: Smoothing | None = None
-    correctives: bool = False
-    unit: float | None = None
-    insides: bool = True
-
-    @property
-    def avatar(self) -> bool:
-        """Whether a .glb export is the character's own file with an animation added."""
-        return is_gltf(self.character) and not self.correctives
+from .writing import ExportOptions, write_avatar, write_mesh
 
 
 def run_export(args: argparse.Namespace) -> int:
@@ -94,23 +76,6 @@ def run_export(args: argparse.Namespace) -> int:
     return 0
 
 
-def write_avatar(
-    out: Path, options: ExportOptions, perform: Callable[[], Performance], covered: Callable[[Character], list[str]]
-) -> None:
-    """Write the character's own file with a performance added. Prints what ``covered`` says, what does not move, and the size.
-
-    ``perform()`` computes the performance, which may take seconds. It is called once the character's file has been checked.
-    """
-    from .avatar import Avatar
-
-    avatar = Avatar(options.character, options.unit)
-    performance = perform()
-    for line in covered(avatar.character) + avatar.write(out, performance):
-        print(line)
-    size = size_text(avatar.character.neutral) if avatar.face else "not measured"
-    print(f"{out}: {avatar.character.name}, {size}, {len(performance)} frames, {len(avatar.rig.expressions)} shapes")
-
-
 def _timed(result: Result, path: Path) -> Result:
     """The result with timestamps that suit every format. Prints what was repaired."""
     times = clean_times(result.timestamps, str(path))
@@ -129,35 +94,6 @@ def _coefficients(args: argparse.Namespace, actor: Actor | None) -> str:
 
 def _smoothing(args: argparse.Namespace) -> Smoothing | None:
     return FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None
-
-
-def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compact: bool = False, meshopt: bool = False) -> None:
-    """Write one of the mesh formats. The size of large files is printed first. ``unit`` applies to OBJ files and caches."""
-    if kind == "glb" and meshopt:
-        from .meshopt import write_meshopt_glb
-
-        write_meshopt_glb(out, mesh)
-    elif kind == "glb":
-        from .gltf import write_glb
-
-        write_glb(out, mesh, compact)
-    elif kind in ("usd", "usdz"):
-        from .usd import write_usd
-
-        write_usd(out, mesh)
-    elif kind in ("mdd", "pc2"):
-        from .point_cache import cache_bytes, rest_mesh, write_point_cache
-
-        print(f"{out}: about {cache_bytes(mesh) / 1e6:.0f} MB, and {rest_mesh(out).name}; lengths in {unit}", flush=True)
-        write_point_cache(out, mesh, unit, partial(tqdm, unit="frame", disable=None))
-    else:
-        from .obj_sequence import sequence_bytes, write_obj_sequence
-        from .point_cache import cache_bytes
-
-        other = f"; --format pc2 takes {cache_bytes(mesh) / 1e6:.0f} MB" if len(mesh) > 1 else ""
-        size = f"{len(mesh)} files, about {sequence_bytes(mesh, unit) / 1e6:.0f} MB"
-        print(f"{out}: {size}; lengths in {unit}{other}", flush=True)
-        write_obj_sequence(out, mesh, unit, partial(tqdm, unit="frame", disable=None))
 
 
 def _output(args: argparse.Namespace) -> Path:

@@ -11,11 +11,13 @@ from tqdm import tqdm
 from ..errors import ParameterError
 from ..livelink import ARKIT_NAMES, LiveLinkTake, read_take
 from ..retargeting import BUILT_IN, UNITS
-from ..retargeting.character import Character, is_gltf, load_character
+from ..retargeting.character import Character, is_gltf
+from ..retargeting.loading import load_character
 from ..retargeting.retarget import Performance, undriven
 from ..retargeting.smoothing import FILTERS, Smoothing
 from .animation import AnimatedMesh, character_animation
 from .arkit_csv import take_performance, write_arkit_csv
+from .writing import ExportOptions, write_avatar, write_mesh
 
 #: Options of ``export`` that need a tracked result, and their default values.
 _OF_RESULTS = {"coefficients": None, "correctives": False, "actor": None, "source": None, "compare": False}
@@ -37,8 +39,6 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
         raise ParameterError(f"{args.result}: a take has no mesh of its own; --character {', '.join(BUILT_IN)} or a file")
     unit = UNITS.get(args.unit)
     if args.format == "glb" and is_gltf(args.character):
-        from .command import ExportOptions, write_avatar
-
         write_avatar(out, ExportOptions(args.character, unit=unit), lambda: performance, lambda c: take_coverage(take, c))
         return 0
     character = load_character(args.character, unit)
@@ -48,8 +48,6 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
     if args.format in ("mp4", "gif"):
         write_character_video(out, mesh, performance, args.turntable)
     else:
-        from .command import write_mesh
-
         write_mesh(out, mesh, args.format, args.out_unit, args.compact, args.meshopt)
     print(f"{out}: {mesh.description}")
     return 0

@@ -17,7 +17,7 @@ from ..evaluation import ErrorCollector, Evaluation, GroundTruth
 from ..files import replacing
 from ..parameters import Parameters
 from ..result import Result
-from ..retargeting.character import load_character
+from ..retargeting.loading import load_character
 from ..runtime.timing import clean_times
 from ..sensors.orientation import as_tracked
 from . import page, retargeting, scenes, sections

@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import FileFormatError, ParameterError
+from ..errors import FileFormatError
 from ..files.npz import Field, check_indices, load_checked, write_npz
 from ..geometry.polydata import expression_weights, surface
+from ..renamed import old_objects
 from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
 from .shape_names import driven_shapes
@@ -170,34 +170,6 @@ def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Char
     )
 
 
-def load_character(source: str | os.PathLike, unit: float | None = None) -> Character:
-    """A built-in character by name, or one from a file or folder: .npz, .glb, .gltf, .vrm, a folder of OBJ files.
-
-    ``unit``: millimetres per unit of length of the file or folder; None: what its format says, and for OBJ files what
-    makes the size that of a head.
-
-    Raises :class:`FileFormatError` naming the file and the reason; :class:`ParameterError` for an unknown name.
-    """
-    text = os.fspath(source)
-    path = Path(text)
-    if text in BUILT_IN:
-        return load_character_npz(str(files("adaptiveface") / "assets" / f"characters_{text}.npz"), text)
-    if path.is_dir():
-        from .obj_folder import load_obj_folder
-
-        return load_obj_folder(path, unit)
-    if is_gltf(text):
-        from .gltf_character import load_gltf_character
-
-        return load_gltf_character(path, unit)
-    if path.suffix.lower() == ".npz":
-        return load_character_npz(path)
-    raise ParameterError(
-        f"character '{text[:200]}': neither built in ({', '.join(BUILT_IN)}) nor a .glb, .gltf, .vrm or .npz file or a "
-        "folder of OBJ files"
-    )
-
-
 def is_gltf(source: str | os.PathLike) -> bool:
     """Whether a character is a .glb, .gltf or .vrm file."""
     path = Path(source)
@@ -226,3 +198,6 @@ def make_character(
     mix = np.array([chosen.get(n[0], np.zeros(len(ARKIT_NAMES))) for n in parts]).reshape(-1, len(ARKIT_NAMES))
     notes = (*options.pop("notes", ()), *notes)
     return Character(name, neutral, triangles, labels, expressions, notes=notes, mix=mix, **options)
+
+
+__getattr__ = old_objects(__name__)

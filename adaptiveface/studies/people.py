@@ -10,7 +10,7 @@ from ..geometry.mesh import transform_points
 from ..parameters import Parameters
 from ..report.pictures import face_view
 from ..retargeting.arkit import arkit_weights
-from ..retargeting.character import load_character
+from ..retargeting.loading import load_character
 from ..retargeting.portrait import portrait
 from ..synthetic.sensor import SyntheticSensor
 from .drawing import BACKDROP, SIZE, Faces, add_scale, grid

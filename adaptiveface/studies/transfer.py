@@ -9,7 +9,7 @@ from ..evaluation.coefficients import known_performance
 from ..geometry.mesh import transform_points
 from ..retargeting import BUILT_IN
 from ..retargeting.arkit import arkit_weights
-from ..retargeting.character import load_character
+from ..retargeting.loading import load_character
 from ..retargeting.portrait import portrait
 from ..synthetic.sensor import SyntheticSensor
 from .drawing import BACKDROP, Faces, grid

@@ -13,7 +13,7 @@ from ..live.session import LiveResult
 from ..model.actor import Actor
 from ..model.face_model import embedded_face_model
 from ..retargeting.arkit import arkit_weights
-from ..retargeting.character import load_character
+from ..retargeting.loading import load_character
 from ..retargeting.portrait import FACING, portrait
 from ..studies.measures import depth_distance
 from ..tracking.types import STAGE_NAMES

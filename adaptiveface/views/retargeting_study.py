@@ -16,8 +16,9 @@ from ..pipeline import one_blas_thread
 from ..report.pictures import SKIN, completed
 from ..retargeting import BUILT_IN
 from ..retargeting.arkit import arkit_weights
-from ..retargeting.character import Character, load_character
+from ..retargeting.character import Character
 from ..retargeting.correctives import transferred_correctives
+from ..retargeting.loading import load_character
 from ..retargeting.portrait import FACING, portrait
 from ..studies.session import Session
 from ..tracking.resolve import SparseResolve
