@@ -16,6 +16,7 @@ from ..model.blendshapes import deformation_transfer
 from ..model.face_model import FaceModel, embedded_face_model
 from ..parameters import FitParameters, Parameters
 from .appearance import gather_appearance
+from .detail import fit_detail
 from .expression import without_expression
 from .features import FeatureConstraints, calibrated_features, calibrated_landmarks, constraints_on
 from .fit import IdentityFit, fit_identity
@@ -142,7 +143,7 @@ def fit_to_skin(scan: FusedScan, model: FaceModel, parameters: FitParameters) ->
         if skin is scan:
             break
         scan, fit, hair = skin, fit_identity(skin, model, parameters), hair | under
-    return scan, fit, hair
+    return scan, fit_detail(scan, model, fit, parameters), hair
 
 
 def build_actor(

@@ -92,8 +92,8 @@ class ScanSearch:
 
 
 @dataclass(frozen=True)
-class _Head:
-    """What a round knows: pose (4, 4) head to scan; identity (M,); expression (A,)."""
+class Head:
+    """What a round of the fit knows: pose (4, 4) head to scan; identity (M,); expression (A,)."""
 
     pose: np.ndarray
     identity: np.ndarray
@@ -130,15 +130,21 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     TrackingError
         The scan and the model do not meet.
     """
-    search = ScanSearch(scan)
     modes = min(parameters.modes, len(model.identity_modes))
-    prior = ExpressionPrior.of(scan, model) if parameters.expression else None
-    head = _Head(np.eye(4), np.zeros(modes), np.zeros(len(model.generic_weights)) if prior is None else prior.mean)
+    prior = _expression_prior(scan, model, parameters)
+    expression = np.zeros(len(model.generic_weights)) if prior is None else prior.mean
+    return fit_head(scan, model, parameters, Head(np.eye(4), np.zeros(modes), expression), few_first=True)
+
+
+def fit_head(scan: FusedScan, model: FaceModel, parameters: FitParameters, start: Head, few_first: bool = False) -> IdentityFit:
+    """Rounds of :func:`fit_identity` from a ``start``. ``few_first``: the pose alone at first, then more and more modes."""
+    search, head = ScanSearch(scan), start
+    prior = _expression_prior(scan, model, parameters)
     area = vertex_areas(model.mean, model.triangles)
     history, reach = [], parameters.max_correspondence_distance
     found = evidence = None
     for iteration in range(parameters.iterations):
-        used = _modes_now(iteration, modes)
+        used = _modes_now(iteration, len(start.identity)) if few_first else len(start.identity)
         vertices, normals = _posed(model, head, prior)
         found = search.correspondences(vertices, normals, model.depth_valid, reach, parameters.max_normal_angle)
         if len(found.vertices) < _MIN_CORRESPONDENCES:
@@ -155,10 +161,14 @@ def fit_identity(scan: FusedScan, model: FaceModel, parameters: FitParameters = 
     return _fitted(scan, model, head, prior, found, vertices, np.array(history))
 
 
+def _expression_prior(scan: FusedScan, model: FaceModel, parameters: FitParameters) -> ExpressionPrior | None:
+    return ExpressionPrior.of(scan, model) if parameters.expression else None
+
+
 def _fitted(
     scan: FusedScan,
     model: FaceModel,
-    head: _Head,
+    head: Head,
     prior: ExpressionPrior | None,
     found: ScanCorrespondences,
     vertices: np.ndarray,
@@ -186,21 +196,21 @@ def _modes_now(iteration: int, modes: int) -> int:
     return min(modes, max(0, 3 * (iteration - 3)))
 
 
-def _posed(model: FaceModel, head: _Head, prior: ExpressionPrior | None) -> tuple[np.ndarray, np.ndarray]:
+def _posed(model: FaceModel, head: Head, prior: ExpressionPrior | None) -> tuple[np.ndarray, np.ndarray]:
     vertices = transform_points(head.pose, head.shape(model, prior))
     return vertices, vertex_normals(vertices, model.triangles)
 
 
 def _step(
     model: FaceModel,
-    head: _Head,
+    head: Head,
     prior: ExpressionPrior | None,
     used: int,
     found: ScanCorrespondences,
     evidence: Evidence,
     area: np.ndarray,
     parameters: FitParameters,
-) -> _Head:
+) -> Head:
     """One Gauss-Newton step: the pose turns about the head's centre, ``used`` modes and the expression change."""
     identity, pose = head.identity, head.pose
     vertices = transform_points(pose, head.shape(model, prior))
@@ -232,7 +242,7 @@ def _step(
     step[:3, 3] = centre + solution[3:6] - step[:3, :3] @ centre
     identity = identity.copy()
     identity[:used] += solution[6:]
-    return _Head(step @ pose, identity, expression)
+    return Head(step @ pose, identity, expression)
 
 
 def _add_features(

@@ -80,6 +80,14 @@ class FitParameters(Stage):
         high=50,
         log=True,
     )
+    detail: float = parameter(
+        0.85,
+        "size of the smooth detail that no identity mode holds, as a share of what the modes leave to the scan; 0: modes alone",
+        section="3",
+        low=0,
+        high=10,
+        paper=0.0,
+    )
     hair: float = parameter(
         4.0,
         "what stands out farther from the fitted head, and reaches into the face from outside, is hair; 0 keeps it",
