@@ -205,18 +205,26 @@ def calibrated_landmarks(scan: FusedScan, model: FaceModel, vertices: np.ndarray
 CONTOUR = ("chin", "jaw", "cheeks")
 #: A landmark only counts if its distance exceeds this many of its deviations, and only by the excess. A smaller distance may be
 #: due to the detector, and the scan is more accurate.
-TOLERATED = 2.5
+TOLERATED = 1.6
 
 #: Triangles (F, 3) and weights (F, 3) of the features on the mesh, and their constraints.
 Evidence = tuple[np.ndarray, np.ndarray, FeatureConstraints]
 
 
-def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, rotation: np.ndarray, contour: bool) -> Evidence:
+def neutral_evidence(
+    scan: FusedScan,
+    model: FaceModel,
+    vertices: np.ndarray,
+    rotation: np.ndarray,
+    contour: bool,
+    tolerated: float = TOLERATED,
+) -> Evidence:
     """Gather what pictures show of a head at ``vertices`` (V, 3) in the scan frame, turned by ``rotation`` (3, 3).
 
     The 40 features have no point on chin, jaw and cheeks, and a depth camera measures little of skin that is turned away, so
     that real heads got the jaw of the average person. ``contour`` adds the detector's landmarks in these regions, if a detector
-    has seen the frames and the model has landmarks. ``rotation`` turns the head frame into the scan frame.
+    has seen the frames and the model has landmarks. They only count beyond ``tolerated`` deviations.
+    ``rotation`` turns the head frame into the scan frame.
     """
     features = constraints_on(scan, model, vertices)
     own = model.feature_triangles, model.feature_weights, features
@@ -234,7 +242,7 @@ def neutral_evidence(scan: FusedScan, model: FaceModel, vertices: np.ndarray, ro
     common = np.median(_off(features, surface_points(vertices, *own[:2]))[features.seen], axis=0)
     found = replace(found, b=found.b + common)
     off = np.linalg.norm(_off(found, landmarks.points(vertices)), axis=1)
-    beyond = np.clip(1.0 - TOLERATED * deviation / np.maximum(off, 1e-9), 0.0, None)
+    beyond = np.clip(1.0 - tolerated * deviation / np.maximum(off, 1e-9), 0.0, None)
     found = replace(found, certainty=beyond / deviation**2)
     triangles = np.concatenate([model.feature_triangles, landmarks.triangles])
     return triangles, np.concatenate([model.feature_weights, landmarks.weights]), features.joined(found)

@@ -31,6 +31,9 @@ from .fit import ScanCorrespondences, ScanSearch
 from .fuse import FusedScan
 
 DEFAULTS = ShrinkWrapParameters()
+#: A landmark of the contour counts where it is farther off than this many of its deviations. More than in the fit: there it
+#: pulls at the whole head, here at the node beside it, and leaves a dent.
+TOLERATED = 2.5
 
 
 @dataclass(frozen=True)
@@ -104,15 +107,15 @@ def smoothed(parameters: ShrinkWrapParameters, noise: float) -> ShrinkWrapParame
     """Adapt the parameters to a scan whose points have ``noise`` mm. They do not change below ``parameters.noise``.
 
     In a maximum a posteriori estimate, the weight of the scan is one over its variance, and the smoothness of skin is
-    constant. Relative to the scan, the smoothness of the fine step would therefore grow with the square of the noise. However,
-    a node of the graph follows the mean of many points, whose errors cancel, and a fine step follows its neighbourhood.
-    Measurements show that powers of 0.5 and 1.6 keep the mesh on the depth.
+    constant. Relative to the scan, the smoothness of the fine step therefore grows with the square of the noise. However, a
+    node of the graph follows the mean of many points, whose errors cancel. Measurements show that its rigidity may only grow
+    with the root of the noise.
     """
     if noise <= parameters.noise or parameters.noise == 0:
         return parameters
     times = noise / parameters.noise
     rigidity = max(parameters.rigidity_end, min(times**0.5 * parameters.rigidity_end, parameters.rigidity_start))
-    return replace(parameters, rigidity_end=rigidity, detail_smoothness=min(times**1.6 * parameters.detail_smoothness, 1e4))
+    return replace(parameters, rigidity_end=rigidity, detail_smoothness=min(times**2 * parameters.detail_smoothness, 1e4))
 
 
 def _residual(found: ScanCorrespondences) -> float:
@@ -156,7 +159,7 @@ def _coarse(
         rigidity = _relaxed(parameters, round_)
         energy = _Energy(unknown.size)
         _add_scan(energy, carry, found, vertex_areas(vertices, model.triangles)[found.vertices])
-        evidence = neutral_evidence(scan, model, current, np.eye(3), parameters.contour)
+        evidence = neutral_evidence(scan, model, current, np.eye(3), parameters.contour, TOLERATED)
         _add_features(energy, carry, current, evidence, parameters)
         for rows, constant, weight, relaxes in fixed:
             energy.add(
