@@ -89,7 +89,7 @@ def renamed(cls: AnyClass) -> AnyClass:
 
     Where both names are given, the old one counts: ``dataclasses.replace(x, old=value)`` passes both.
     """
-    names, make = OLD_NAMES[cls.__name__], cls.__init__
+    names, make = OLD_NAMES[cls.__name__], cls.__init__  # type: ignore[misc]
 
     @functools.wraps(make)
     def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
@@ -98,7 +98,7 @@ def renamed(cls: AnyClass) -> AnyClass:
             kwargs[names[old]] = kwargs.pop(old)
         make(self, *args, **kwargs)
 
-    cls.__init__ = __init__
+    cls.__init__ = __init__  # type: ignore[misc]
     for old, new in names.items():
         setattr(cls, old, property(_reader(cls.__name__, old, new)))
     return cls

@@ -210,7 +210,7 @@ def write_marks(folder: Path, marks: Sequence[Mark]) -> list[Path]:
             if m.student == student
         ]
         with replacing(folder / "gradescope" / f"{student}.json") as temporary:
-            content = {"score": sum(test["score"] for test in tests), "tests": tests}
+            content = {"score": sum(m.points for m in marks if m.student == student), "tests": tests}
             temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
         written.append(folder / "gradescope" / f"{student}.json")
     return written

@@ -67,11 +67,12 @@ class Features2D:
 
     @property
     def iris_centres(self) -> np.ndarray | None:
-        """(2, 2) pixels: the irises' centres, the subject's left eye first; None where nothing looked for them."""
+        """Centres of the irises, (2, 2) px, the subject's left eye first; None if they were not searched."""
         if self.irises is not None:
             return self.irises
-        seen = self.face is not None and len(self.face.mesh) >= LANDMARKS
-        return self.face.mesh[list(IRIS_CENTRES), :2] if seen else None
+        if self.face is None or len(self.face.mesh) < LANDMARKS:
+            return None
+        return self.face.mesh[list(IRIS_CENTRES), :2]
 
     @property
     def valid(self) -> np.ndarray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from .neutral import FitParameters, FusionParameters, ShrinkWrapParameters
-from .stages import StageSet
+from .stages import StageSet, stage_class
 from .tracking import (
     AdaptivePcaParameters,
     BlendshapeParameters,
@@ -61,7 +61,7 @@ class Parameters(StageSet):
 
 
 for _field in fields(Parameters):
-    _field.default_factory.stage = _field.name
+    stage_class(_field).stage = _field.name
 
 
 def describe() -> list[dict[str, Any]]:

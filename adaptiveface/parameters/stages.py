@@ -52,7 +52,7 @@ def _checked(stage: str, entry: dataclasses.Field, value: Any) -> Any:
     return kind(value)
 
 
-def _kind(entry: dataclasses.Field) -> type[Stage]:
+def stage_class(entry: dataclasses.Field) -> type[Stage]:
     """The stage's class, which makes a set's field."""
     assert isinstance(entry.default_factory, type)
     return entry.default_factory
@@ -80,7 +80,7 @@ class StageSet:
         """The paper's literal values wherever a field names one."""
         stages = {}
         for stage in fields(cls):
-            kind = _kind(stage)
+            kind = stage_class(stage)
             literal = {f.name: f.metadata["paper"] for f in fields(kind) if f.metadata["paper"] is not None}
             stages[stage.name] = kind(**literal)
         return cls(**stages)
@@ -132,7 +132,7 @@ class StageSet:
     def current_name(cls, name: str) -> str:
         """Today's "stage.name" of a parameter, also named ``stage__name`` or as an earlier version called it."""
         stage, _, old = name.replace("__", ".").partition(".")
-        kinds = {entry.name: _kind(entry).__name__ for entry in fields(cls)}
+        kinds = {entry.name: stage_class(entry).__name__ for entry in fields(cls)}
         return f"{stage}.{OLD_NAMES.get(kinds.get(stage, ''), {}).get(old, old)}"
 
     @classmethod
@@ -153,5 +153,5 @@ class StageSet:
     @classmethod
     def rows(cls) -> list[dict[str, Any]]:
         """One row per parameter: stage, name, default and the field's documentation."""
-        stages = [(stage.name, entry) for stage in fields(cls) for entry in fields(_kind(stage))]
+        stages = [(stage.name, entry) for stage in fields(cls) for entry in fields(stage_class(stage))]
         return [dict(stage=stage, name=entry.name, default=entry.default, **entry.metadata) for stage, entry in stages]
