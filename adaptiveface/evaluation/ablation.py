@@ -1,4 +1,4 @@
-"""What each stage contributes: the pipeline with stages left out, on the same frames (the paper's figure 5)."""
+"""Measure the contribution of each stage, with stages left out on the same frames (the paper's figure 5)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from .truth import REPEAT, GroundTruth
 
 @dataclass(frozen=True)
 class Variant:
-    """A pipeline with something left out: the ``stage`` taken as its output, and how its tracker differs.
+    """A pipeline with something left out.
 
-    ``changes``: parameters by name; ``fit`` False holds the blendshape coefficients at zero.
+    ``stage`` is its output, ``changes`` are its parameters by name, and ``fit`` False holds the blendshape coefficients at
+    zero.
     """
 
     name: str
@@ -31,8 +32,8 @@ class Variant:
     fit: bool = True
 
 
-#: Figure 5 leaves out the steps one by one; the last two are our own questions. Variants that differ only in ``stage``
-#: share one tracker. A term is left out by the smallest weight its parameter allows.
+#: Figure 5 leaves out single steps, and the last two variants are our own. Variants that differ only in ``stage`` share one
+#: tracker. A term is left out by the smallest weight that its parameter allows.
 VARIANTS = (
     Variant("full pipeline"),
     Variant("blendshapes only", "v1"),
@@ -63,10 +64,10 @@ def run_ablations(
     first: int = 0,
     on_result: Callable[[Variant, TrackedFrame], None] | None = None,
 ) -> dict[str, Evaluation]:
-    """Track the same frames with every variant; returns name -> :class:`Evaluation` of its one stage.
+    """Track the same frames with every variant, and return the :class:`Evaluation` of its stage by its name.
 
-    ``truth`` as for :meth:`GroundTruth.of`; every ``stride``-th frame from number ``first`` on is scored. The
-    frames are read once. ``on_result`` sees every variant's result of every frame.
+    ``truth`` is an argument of :meth:`GroundTruth.of`. Every ``stride``-th frame from number ``first`` on is scored. The
+    frames are read once. ``on_result`` is called with every variant's result of every frame.
     """
     parameters, truth, variants = parameters or Parameters(), GroundTruth.of(truth), tuple(variants)
     collectors = {variant.name: ErrorCollector(truth, actor, (variant.stage,)) for variant in variants}
@@ -88,7 +89,7 @@ def run_ablations(
 
 
 def ablation_table(evaluations: dict[str, Evaluation], performance: int | None = REPEAT) -> str:
-    """One line per variant: surface error, active share and the parts of the motion error, mm."""
+    """Write one line per variant: surface error, active share and the parts of the motion error, mm."""
     lines = [f"{'':<54}median  p95    active  normal  tangential  lost"]
     for name, evaluation in evaluations.items():
         row = evaluation.summary(evaluation.stages[0], performance)

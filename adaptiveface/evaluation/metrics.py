@@ -1,13 +1,14 @@
-"""Error measures between a tracked mesh and the true one: pure functions of arrays.
+"""Measure errors between a tracked mesh and the true one, by pure functions of arrays.
 
-Shapes: N vertices (the tracked and the true mesh share their numbering), T triangles, n scored vertices, F frames. mm.
+Shapes: N vertices (the tracked and the true mesh share their numbering), T triangles, n scored vertices, F frames. Lengths are
+in mm.
 
 Three questions, three measures:
 
-* Does the surface lie where the true surface lies? :func:`surface_distance`, blind to sliding inside the surface.
-* Does every vertex lie where its true counterpart lies? :func:`split_by_normal` of the difference.
-* Does every vertex *move* as its counterpart moves? :func:`motion_error`: the constant error of the neutral is removed,
-  the error of the pose is not. :func:`active_share` puts it in proportion to the true motion.
+* Does the surface lie on the true surface? :func:`surface_distance` does not see sliding within the surface.
+* Does every vertex lie on its true counterpart? :func:`split_by_normal` of the difference tells.
+* Does every vertex *move* like its counterpart? :func:`motion_error` removes the constant error of the neutral, but not the
+  error of the pose. :func:`active_share` divides it by the true motion.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ ACTIVE_MOTION = 2.0
 
 
 class TrueSurface:
-    """Answers "how far is this point from that surface" for one true mesh, vertices (N, 3) mm, triangles (T, 3).
+    """Measures distances of points from one true mesh with vertices (N, 3) mm and triangles (T, 3).
 
     The distance of every triangle around the ``candidates`` nearest true vertices is computed exactly (Ericson 2005,
-    section 5.1.5). The smallest is the exact distance whenever the closest triangle touches one of those vertices,
-    which on meshes with edges of a few millimetres it does (the tests compare with all triangles).
+    section 5.1.5). The smallest one is the exact distance if the closest triangle touches one of those vertices.
+    It does on meshes with edges of a few millimetres (the tests compare with all triangles).
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, candidates: int = 3):
@@ -42,7 +43,7 @@ class TrueSurface:
         self._start = np.searchsorted(self.triangles.ravel()[order], np.arange(len(vertices) + 1))
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """(n,) unsigned distances in mm of points (n, 3) from the surface."""
+        """Unsigned distances (n,) of points (n, 3) from the surface, mm."""
         points = np.ascontiguousarray(points, float)
         _, near = self._tree.query(points, k=min(self.candidates, len(self._used)))
         near = self._used[near.reshape(len(points), -1)]
@@ -52,11 +53,10 @@ class TrueSurface:
 def surface_distance(
     vertices: np.ndarray, truth_vertices: np.ndarray, triangles: np.ndarray, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Distance in mm of tracked vertices (N, 3) from the true surface (N, 3), (T, 3): (n,), n = vertices in ``mask``.
+    """Distances (n,) of the tracked vertices (N, 3) in ``mask`` (N,) from the true surface (N, 3), (T, 3), mm.
 
-    Scored region: the caller's ``mask`` (N,) bool; evaluation uses the frontal vertices that may take depth
-    (``frontal & depth_valid``), so that inner lips and lid rims, which no depth camera sees, are left out. The true
-    surface is the whole head, not the masked part of it.
+    The evaluation scores the frontal vertices that may take depth (``frontal & depth_valid``). Inner lips and lid rims, which
+    no depth camera sees, are left out. The true surface is the whole head and not only its masked part.
     """
     points = vertices if mask is None else vertices[mask]
     return TrueSurface(truth_vertices, triangles).distance(points)
@@ -70,20 +70,20 @@ def split_by_normal(error: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray,
 
 
 def neutral_alignment(neutral: np.ndarray, true_neutral: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(4, 4) rigid transform A from the tracker's head frame to the true one, over the vertices in ``mask``.
+    """Rigid transform A (4, 4) from the tracker's head frame to the true one, over the vertices in ``mask``.
 
-    Two meshes of one head may place its head frame differently; A takes that difference out once, for all frames.
+    Two meshes of one head may have different head frames. A removes that difference once for all frames.
     """
     return rigid_alignment(neutral[mask], true_neutral[mask])
 
 
 def tracked_alignment(poses: np.ndarray, true_poses: np.ndarray) -> np.ndarray:
-    """(4, 4) rigid transform A from the tracker's head frame to the true one, the mean over frames of a resting face.
+    """Rigid transform A (4, 4) from the tracker's head frame to the true one, as a mean over frames of a resting face.
 
-    ``poses``, ``true_poses`` (F, 4, 4): head to camera. With it a face at rest that lies on its neutral has no motion error.
-    :func:`neutral_alignment`, the measure of every figure reported unless said, leaves it one: where vertices of the
-    forehead or the cheeks slid along the skin in the neutral, fitting all of them moves the lips as well (0.3 to 0.6 mm,
-    five performers captured with detected features).
+    ``poses`` and ``true_poses`` (F, 4, 4) are head to camera. With this alignment, a resting face that lies on its neutral has
+    no motion error. With :func:`neutral_alignment`, which is used for all figures unless stated otherwise, it has one: if
+    vertices of the forehead or the cheeks slid along the skin in the neutral, fitting all vertices also moves the lips (by 0.3
+    to 0.6 mm on five performers that were captured with detected features).
     """
     relative = np.linalg.inv(true_poses) @ poses
     out = np.eye(4)
@@ -93,9 +93,9 @@ def tracked_alignment(poses: np.ndarray, true_poses: np.ndarray) -> np.ndarray:
 
 
 def true_motion(truth_vertices: np.ndarray, true_rigid: np.ndarray, true_neutral: np.ndarray) -> np.ndarray:
-    """(N, 3) displacement of the true mesh (N, 3, camera frame) from its neutral (N, 3, head frame), camera frame, mm.
+    """Displacement (N, 3) of the true mesh (camera frame) from its neutral (N, 3) (head frame), in the camera frame, mm.
 
-    ``true_rigid`` (4, 4) takes the head frame to the camera frame.
+    ``true_rigid`` (4, 4) maps the head frame to the camera frame.
     """
     return truth_vertices - transform_points(true_rigid, true_neutral)
 
@@ -108,13 +108,13 @@ def motion_error(
     true_rigid: np.ndarray,
     alignment: np.ndarray,
 ) -> np.ndarray:
-    """(N, 3) correspondence error with the neutral removed, camera frame, mm.
+    """Correspondence error (N, 3) without the error of the neutral, camera frame, mm.
 
     e_i = (v_i - R A b0_i) - (v*_i - R b0*_i), with v (N, 3) the tracked and v* the true vertices in the camera frame,
     b0 and b0* the tracked and true neutral in their head frames, R = ``true_rigid`` (4, 4) the true head-to-camera pose
-    and A = ``alignment`` (4, 4) of :func:`neutral_alignment`. The pose error stays inside e; what is removed is the
-    constant difference of the neutrals, carried along by the true pose. A face that follows the head without ever
-    changing its expression has e = -(true motion).
+    and A = ``alignment`` (4, 4) of :func:`neutral_alignment`. The pose error remains in e. Only the
+    constant difference of the neutrals is removed, moved by the true pose. A face that follows the head but never changes its
+    expression has e = -(true motion).
     """
     tracked_motion = vertices - transform_points(true_rigid @ alignment, neutral)
     return tracked_motion - true_motion(truth_vertices, true_rigid, true_neutral)
@@ -123,8 +123,8 @@ def motion_error(
 def active_share(error: np.ndarray, motion: np.ndarray, threshold: float = ACTIVE_MOTION) -> float:
     """Sum of |error| over sum of |motion|, over the pairs whose true motion exceeds ``threshold`` mm.
 
-    ``error``, ``motion``: lengths in mm of equal shape, any number of axes (frames, vertices). 0 is perfect, a face
-    that never moves scores 1; NaN when nothing moves.
+    ``error`` and ``motion`` are lengths in mm of equal shape, with any number of axes (frames, vertices). 0 is perfect, and a
+    face that never moves scores 1. The result is NaN if nothing moves.
     """
     active = motion > threshold
     return float(error[active].sum() / motion[active].sum()) if active.any() else float("nan")
@@ -133,7 +133,7 @@ def active_share(error: np.ndarray, motion: np.ndarray, threshold: float = ACTIV
 def pose_error(rigid: np.ndarray, true_rigid: np.ndarray, alignment: np.ndarray, centre: np.ndarray) -> tuple[float, float]:
     """Error of a head pose (4, 4): millimetres at the point ``centre`` (3,) of the true head frame, and degrees.
 
-    ``alignment`` (4, 4) takes the tracker's head frame to the true one (:func:`neutral_alignment`).
+    ``alignment`` (4, 4) maps the tracker's head frame to the true one (:func:`neutral_alignment`).
     """
     difference = np.linalg.inv(true_rigid @ alignment) @ rigid
     at = np.linalg.inv(alignment)[:3, :3] @ (centre - alignment[:3, 3])
@@ -146,7 +146,9 @@ def pose_error(rigid: np.ndarray, true_rigid: np.ndarray, alignment: np.ndarray,
 def _distance_to_incident_triangles(points, near, vertices, triangles, start, incident):
     """Smallest distance of each point (n, 3) to the triangles around its near vertices (n, k)."""
     distances = np.empty(len(points))
-    seen = np.full(len(triangles), -1)  # neighbouring vertices share triangles: the last point that visited each
+    seen = np.full(
+        len(triangles), -1
+    )  # the last point that visited each triangle, because neighbouring vertices share triangles
     for i in range(len(points)):
         best = np.inf
         for vertex in near[i]:
@@ -186,7 +188,7 @@ def _squared_distance_to_triangle(p, a, b, c):
 
 @compiled
 def _squared_rest(ap, ab, v, ac, w):
-    """|ap - v ab - w ac|^2: from the point of barycentric coordinates (1 - v - w, v, w) to p."""
+    """Squared distance |ap - v ab - w ac|^2 of p from the point with barycentric coordinates (1 - v - w, v, w)."""
     rest = (ap[0] - v * ab[0] - w * ac[0], ap[1] - v * ab[1] - w * ac[1], ap[2] - v * ab[2] - w * ac[2])
     return _dot(rest, rest)
 

@@ -1,4 +1,4 @@
-"""The regions of the face that errors are reported for, found from the 2D features so that every model has them."""
+"""Find the regions of the face for which errors are reported, from the 2D features, so that every model has them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from ..geometry.frame import FEATURE_IDS, FEATURE_REGIONS
 from ..geometry.mesh import surface_points
 
-#: Order of the regions in tables; a vertex may belong to none, and to no more than one.
+#: Order of the regions in tables. A vertex belongs to one region at most.
 REGIONS = ("lips", "eyes", "brows", "cheeks", "chin")
 
 #: A vertex within this distance of a feature of a region belongs to it, mm.

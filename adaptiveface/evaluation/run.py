@@ -1,6 +1,6 @@
-"""Scoring a tracked performance against its truth: which stage, which region, first time or repeat.
+"""Score a tracked performance against its truth by stage, by region, and by first time or repeat.
 
-Shapes: S stages, F scored frames, n vertices that may take depth, m frontal vertices. Millimetres.
+Shapes: S stages, F scored frames, n vertices that may take depth, m frontal vertices. Lengths are in mm.
 """
 
 from __future__ import annotations
@@ -23,14 +23,31 @@ STAGES = ("v1", "v2", "v3", "v4")
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Errors of every scored frame, kept per vertex so that any statistic can be taken later. mm, float32.
+    """Errors of every scored frame, stored per vertex, so that any statistic can be computed later. Lengths are float32 mm.
 
-    stages (S,) names; index, performance (F,) of the frames that were tracked; lost: performance -> number of frames
-    that were not. surface (S, F, n): distance of the vertices ``scored`` (N,) bool (frontal and depth-valid) from the
-    true surface. Over the vertices ``frontal`` (N,) bool, the motion error with the neutral removed
-    (:func:`metrics.motion_error`): normal (S, F, m) signed part along the true vertex normal, tangential (S, F, m)
-    length of the rest; motion (F, m) length of the true motion. pose_shift (F,) mm and pose_angle (F,) degrees: error
-    of the rigid pose. anchor_distance, adaptive_distance (F,) mm: the curves of figure 11. regions: name -> (N,) bool.
+    Attributes
+    ----------
+    stages : (S,)
+        Names of the stages.
+    index, performance : (F,)
+        Number and performance of the frames that were tracked.
+    lost : dict
+        Number of frames that were not tracked, by performance.
+    scored, frontal : (N,) bool
+        Vertices of the surface error (frontal and depth-valid) and of the motion error.
+    surface : (S, F, n)
+        Distances of the scored vertices from the true surface.
+    normal, tangential : (S, F, m)
+        Motion error without the neutral's (:func:`metrics.motion_error`): signed part along the true normals, and length of the
+        rest.
+    motion : (F, m)
+        Length of the true motion.
+    pose_shift, pose_angle : (F,)
+        Error of the rigid pose, mm and degrees.
+    anchor_distance, adaptive_distance : (F,)
+        The curves of figure 11.
+    regions : dict
+        Vertices (N,) bool of each region by its name.
     """
 
     stages: tuple[str, ...]
@@ -50,11 +67,11 @@ class Evaluation:
     regions: dict[str, np.ndarray]
 
     def frames(self, performance: int | None) -> np.ndarray:
-        """(F,) bool: frames of one performance (None: every one after the neutral)."""
+        """Which frames belong to a performance, (F,) bool; None means all after the neutral."""
         return self.performance != NEUTRAL if performance is None else self.performance == performance
 
     def motion_length(self, stage: str) -> np.ndarray:
-        """(F, m) length of the motion error, mm."""
+        """Lengths (F, m) of the motion error, mm."""
         s = self.stages.index(stage)
         return np.hypot(self.normal[s], self.tangential[s])
 
@@ -74,7 +91,7 @@ class Evaluation:
     def region_error(self, stage: str, region: str, performance: int | None, active: bool = False) -> float:
         """Mean length of the motion error over a region's vertices and a performance's frames, mm.
 
-        ``active`` takes only the pairs whose true motion exceeds 2 mm. The limits are on the mean over all pairs.
+        With ``active``, only pairs whose true motion exceeds 2 mm count. The limits are for the mean over all pairs.
         """
         chosen, inside = self.frames(performance), self.regions[region][self.frontal]
         error = self.motion_length(stage)[chosen][:, inside]
@@ -92,7 +109,7 @@ class Evaluation:
         return float(normal.mean(dtype=float)), float(tangential.mean(dtype=float))
 
     def summary(self, stage: str, performance: int | None) -> dict[str, float]:
-        """Every figure of one stage and performance by name: mm, but for the shares."""
+        """Every figure of one stage and performance by its name, in mm except for shares."""
         median, p95 = self.surface_percentiles(stage, performance)
         normal, tangential = self.parts(stage, performance)
         out = dict(
@@ -109,7 +126,7 @@ class Evaluation:
         return out
 
     def mean_error_map(self, stage: str, performance: int | None) -> np.ndarray:
-        """(N,) mean length of the motion error of each vertex, mm; NaN outside the frontal region."""
+        """Mean lengths (N,) of the motion error of each vertex, mm; NaN outside the frontal region."""
         out = np.full(len(self.frontal), np.nan)
         chosen = self.frames(performance)
         if chosen.any():
@@ -125,10 +142,18 @@ class Evaluation:
 
 @dataclass
 class ErrorCollector:
-    """Takes tracked frames one by one, so that a run can be scored while it is tracked and no mesh is kept.
+    """Scores tracked frames one by one, so that a run can be scored while it is tracked, without keeping meshes.
 
-    ``truth`` as for :meth:`GroundTruth.of`; ``actor`` the rig that was tracked with; ``stages`` of ``STAGES``;
-    ``alignment`` (4, 4) from the actor's head frame to the true one, by default :func:`metrics.neutral_alignment`.
+    Parameters
+    ----------
+    truth : GroundTruth
+        Or any argument of :meth:`GroundTruth.of`.
+    actor : Actor
+        The rig that is tracked.
+    stages : sequence of str
+        Of ``STAGES``.
+    alignment : (4, 4), optional
+        From the actor's head frame to the true one; by default :func:`metrics.neutral_alignment`.
     """
 
     truth: GroundTruth
@@ -152,7 +177,7 @@ class ErrorCollector:
         self.centre = self.truth.neutral[self.frontal].mean(axis=0)
 
     def add(self, frame: TrackedFrame) -> None:
-        """Score one frame; a frame that is not tracked is counted as lost."""
+        """Score one frame. A frame that is not tracked is counted as lost."""
         if not frame.tracked:
             self.lose(frame.index)
             return
@@ -172,7 +197,7 @@ class ErrorCollector:
         anchor: float = np.nan,
         adaptive: float = np.nan,
     ) -> None:
-        """Score one frame: ``rigid`` (4, 4) head to camera, ``meshes`` stage -> (N, 3) in the camera frame, mm."""
+        """Score one frame at ``rigid`` (4, 4), head to camera, with the stages' meshes (N, 3) in the camera frame, mm."""
         truth = self.truth[index]
         surface = metrics.TrueSurface(truth.vertices, self.actor.triangles)
         normals = vertex_normals(truth.vertices, self.actor.triangles)[self.frontal]
@@ -201,7 +226,7 @@ class ErrorCollector:
         )
 
     def finish(self) -> Evaluation:
-        """The errors of all frames so far. Raises :class:`AdaptiveFaceError` when none was tracked."""
+        """Return the errors of all frames so far. Raises :class:`AdaptiveFaceError` if none was tracked."""
         if not self._rows:
             raise AdaptiveFaceError("no frame was tracked, so there is no error to report")
         columns = list(zip(*self._rows, strict=True))
@@ -227,7 +252,7 @@ def evaluate_run(frames: Iterable[TrackedFrame], truth, actor: Actor, stages: tu
     Parameters
     ----------
     frames : iterable of TrackedFrame
-        Their ``index`` is their number in the truth.
+        Their ``index`` is the number in the truth.
     truth
         A sensor with ``ground_truth(index)``, a :class:`GroundTruth`, or the path of a ``ground_truth.npz``.
     actor : Actor
@@ -243,7 +268,7 @@ def evaluate_run(frames: Iterable[TrackedFrame], truth, actor: Actor, stages: tu
     Raises
     ------
     AdaptiveFaceError
-        The mesh is another one than the truth's, or no frame was tracked.
+        The mesh differs from the truth's, or no frame was tracked.
     """
     collector = ErrorCollector(truth, actor, tuple(stages))
     for frame in frames:

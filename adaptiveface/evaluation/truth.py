@@ -1,4 +1,4 @@
-"""Where the truth comes from: a synthetic sensor, or the ``ground_truth.npz`` of a synthetic recording."""
+"""Read the truth from a synthetic sensor, or from the ``ground_truth.npz`` of a synthetic recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..files.npz import Field, load_checked
 from ..geometry.mesh import transform_points
 from ..renamed import renamed
 
-#: What a frame belongs to: the neutral scan, the first performance of the script, or its repeat.
+#: The parts of a take: the neutral scan, the first performance of the script, and its repeat.
 NEUTRAL, FIRST, REPEAT = -1, 0, 1
 PERFORMANCE_NAMES = {NEUTRAL: "neutral", FIRST: "first", REPEAT: "repeat"}
 
@@ -29,7 +29,17 @@ _FIELDS = {
 @renamed
 @dataclass(frozen=True)
 class TruthFrame:
-    """vertices (V, 3) mm in the camera frame; head_pose (4, 4) head to camera; performance: see ``PERFORMANCE_NAMES``."""
+    """The truth of one frame.
+
+    Attributes
+    ----------
+    vertices : (V, 3)
+        The true head in the camera frame, mm.
+    head_pose : (4, 4)
+        Head frame to camera frame, mm.
+    performance : int
+        A number of ``PERFORMANCE_NAMES``.
+    """
 
     vertices: np.ndarray
     head_pose: np.ndarray
@@ -38,7 +48,7 @@ class TruthFrame:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """The truth of every frame of a source; ``neutral`` (V, 3) is the true neutral in the true head frame, mm."""
+    """The truth of every frame of a source. ``neutral`` (V, 3) is the true neutral in the true head frame, mm."""
 
     neutral: np.ndarray
     read: Callable[[int], TruthFrame] = field(repr=False)
@@ -52,7 +62,7 @@ class GroundTruth:
 
     @classmethod
     def of(cls, source) -> GroundTruth:
-        """From a sensor with ``ground_truth(i)``, a path of a ``ground_truth.npz``, or a ``GroundTruth`` itself."""
+        """Return the truth of a sensor with ``ground_truth(i)``, of a ``ground_truth.npz``, or a ``GroundTruth`` itself."""
         if isinstance(source, cls):
             return source
         if isinstance(source, (str, os.PathLike)):
@@ -63,7 +73,7 @@ class GroundTruth:
             pose = truth.head_pose if hasattr(truth, "head_pose") else truth.rigid  # an own class, written before
             return TruthFrame(np.asarray(truth.vertices, float), np.asarray(pose, float), int(truth.performance))
 
-        # A synthetic performer knows its neutral; any other source shows it in its first frames.
+        # A synthetic performer knows its neutral. Any other source shows it in its first frames.
         neutral = getattr(getattr(source, "performer", None), "neutral", None)
         neutral = _mean_neutral(read, len(source)) if neutral is None else np.asarray(neutral, float)
         return cls(neutral, read, len(source))
@@ -83,7 +93,7 @@ class GroundTruth:
 
 
 def _mean_neutral(read: Callable[[int], TruthFrame], n_frames: int, path="the source", most: int = 10) -> np.ndarray:
-    """(V, 3) mean of the first neutral frames, taken back to the head frame."""
+    """Mean (V, 3) of the first neutral frames, turned into the head frame, mm."""
     heads: list[np.ndarray] = []
     for index in range(n_frames):
         frame = read(index)
@@ -96,7 +106,7 @@ def _mean_neutral(read: Callable[[int], TruthFrame], n_frames: int, path="the so
 
 
 def truth_of(source):
-    """Where the truth of a source is: the source itself, the ``ground_truth.npz`` in its folder, or None."""
+    """Find the truth of a source: the source itself, the ``ground_truth.npz`` in its folder, or None."""
     if hasattr(source, "ground_truth"):
         return source
     path = getattr(source, "path", None)

@@ -1,7 +1,7 @@
 """Run the whole method: read frames, find their features, capture the neutral, track, and collect one result per frame.
 
-This is where sensors, detector, capture and tracking meet; none of them knows the others. Broken frames are skipped and
-counted, they never reach the tracker.
+Sensors, detector, capture and tracking do not know each other and are combined here. Broken frames are skipped and counted, and
+never reach the tracker.
 """
 
 from ..runtime.blas import one_blas_thread

@@ -1,4 +1,4 @@
-"""From a source to the rig of the person whom it shows (section 3)."""
+"""Capture the rig of the person whom a source shows (section 3)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..sensors.numbered import Abilities
 from .progress import capture_bar, progress_bar
 from .reader import FrameReader, reading
 
-#: A neutral scan takes at most this many frames, spread evenly over the source: more take memory and bring little.
+#: Largest number of frames of a neutral scan, spread evenly over the source. More take memory and add little.
 MAX_NEUTRAL_FRAMES = 150
 _log = logging.getLogger(__name__)
 
@@ -42,21 +42,21 @@ def capture_from(
     ----------
     source : FrameSource or FrameReader
         Without depth (``colour_only``), the result is the average head with the person's proportions. It is then fitted to
-        frames from all over the source, none of which need be neutral, unless ``neutral_frames`` is a range.
+        frames from all over the source, which need not be neutral, unless ``neutral_frames`` is a range.
     parameters : Parameters, optional
         Our defaults without.
     neutral_frames : int, range or None
-        A number: so many of the leading frames that show a face. If these are turned away or moving, calmer ones near the
-        beginning take their place (:mod:`~adaptiveface.neutral.choice`), and a note says so. A range: these very frames.
-        None: all frames, or ``MAX_NEUTRAL_FRAMES`` that are spread evenly.
+        Number of leading frames that show a face. If these are turned away or moving, calmer frames near the beginning are
+        used instead (:mod:`~adaptiveface.neutral.choice`), and a note says so. A range names the frames. None means all
+        frames, or ``MAX_NEUTRAL_FRAMES`` frames that are spread evenly.
     detector : FeatureDetector, optional
-        Finds 2D features where the source brings none; made on first need. A ``FrameReader`` has its own.
+        Finds 2D features if the source brings none; made when it is needed. A ``FrameReader`` has its own.
     progress : bool
-        Show bars on stderr.
+        Whether to show bars on stderr.
     model : FaceModel, optional
         The embedded one by default.
     on_take : callable, optional
-        Is told which frames were taken.
+        Called with the frames that were taken.
 
     Returns
     -------
@@ -66,8 +66,8 @@ def capture_from(
     Raises
     ------
     TrackingError
-        No face was found; its kind :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` where the head is no
-        person's.
+        No face was found. The subclass :class:`~adaptiveface.neutral.plausible.ImplausibleFaceError` says that the head cannot
+        be a person's.
     """
     model, parameters = model or embedded_face_model(), parameters or Parameters()
     with reading(source, detector) as reader:
@@ -80,7 +80,7 @@ def capture_from(
         capture = _capture_colour if known.colour_only else _capture_depth
         actor = capture(reader, take.frames, model, parameters, progress)
     if anywhere:
-        take = dataclasses.replace(take, note="")  # they may do what they like
+        take = dataclasses.replace(take, note="")  # these frames may have any expression
     if take.note:
         _log.warning("%s: %s", reader.source.name, take.note)
     if on_take is not None:
@@ -109,7 +109,7 @@ def _capture_depth(
 
 
 def _capture_colour(reader: FrameReader, frames: list[RgbdFrame], model: FaceModel, parameters: Parameters, _: bool) -> Actor:
-    """The actor of a source without depth. A focal length that was a guess, and cannot be, is set right in the source."""
+    """Capture the actor of a source without depth. A guessed focal length that is impossible is corrected in the source."""
     guessed = Abilities.of(reader.source).guessed_camera
     with one_blas_thread():
         capture = capture_colour(frames, model, parameters, guessed)

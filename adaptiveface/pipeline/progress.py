@@ -1,4 +1,4 @@
-"""Progress bars of the pipeline."""
+"""Show progress bars of the pipeline."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tqdm import tqdm
 
 
 def progress_bar(progress: bool, **options) -> tqdm:
-    """A bar on stderr where that is a terminal; log files stay readable. ``options`` of ``tqdm``."""
+    """Make a bar on stderr if that is a terminal, so that log files stay readable. ``options`` are those of ``tqdm``."""
     return tqdm(disable=None if progress else True, **options)
 
 
 @contextmanager
 def capture_bar(progress: bool) -> Iterator[Callable[[str, float], None]]:
-    """A bar for ``capture_actor``: one round of 100 % per step."""
+    """A bar for ``capture_actor`` that runs to 100 % in every step."""
     with progress_bar(progress, total=100, unit="%", leave=False) as bar:
 
         def report(step: str, share: float) -> None:

@@ -1,4 +1,4 @@
-"""Frames of a source with their 2D features, each of them decoded and looked at once."""
+"""Read the frames of a source with their 2D features. Each frame is decoded once, and one detector looks at it once."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..sensors import FrameSource
 from ..sensors.numbered import Abilities
 from ..sensors.orientation import turned
 
-#: Frames that are remembered stay in memory while together they take no more than this. Of the others, which are decoded
-#: again, the features are remembered.
+#: Largest size of the frames that are remembered, bytes. Of further frames only the features are remembered, and they are
+#: decoded again.
 HELD_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
 class _Remembered:
-    """What reading a frame gave: its features, by how many quarters it was turned, and the frame where there is room."""
+    """A frame that was read: its features, the quarters by which it was turned, and the frame itself if there is room."""
 
     features: Features2D | None
     quarters: int
@@ -31,27 +31,27 @@ class _Remembered:
 
 
 class FrameReader(Closing):
-    """Reads the frames of a source with their 2D features, and keeps count of the broken ones.
+    """Reads the frames of a source with their 2D features, and counts the broken ones.
 
-    A context manager, which closes the detectors that it made.
+    It is a context manager, which closes the detectors that it made.
 
     Parameters
     ----------
     source : FrameSource
         Where the frames come from.
     detector : FeatureDetector, optional
-        Finds features where the source brings none. It is made on first need, and stays open if it was given.
+        Finds features if the source brings none. It is made when it is needed. A given detector stays open.
     irises : bool
-        Find irises in the colour images of frames whose features come without them.
+        Whether to find irises in the colour images of frames whose features come without them.
     remember : bool
-        Keep what is read until :meth:`rewind`, so that the neutral frames are not read again for the tracking.
+        Whether to keep what is read until :meth:`rewind`, so that the neutral frames are not read again for tracking.
 
     Attributes
     ----------
     skipped : dict
-        Number -> reason of every frame that could not be used.
+        Reason why a frame could not be used, by its number.
     reads : int
-        How many frames were asked for.
+        Number of requested frames.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class FrameReader(Closing):
             self._irises.close()
 
     def read(self, index: int) -> RgbdFrame | None:
-        """Frame ``index`` with features where a face is seen; None (and an entry in ``skipped``) for a broken frame."""
+        """Return frame ``index``, with features if a face is found; None, and an entry in ``skipped``, for a broken frame."""
         self.reads += 1
         if not self._remember and index in self._known:
             return self._recall(index)
@@ -86,12 +86,12 @@ class FrameReader(Closing):
         return frame
 
     def spare(self, every: int) -> None:
-        """Search every ``every``-th of the frames to come (:meth:`.Upright.spare`)."""
+        """Search only every ``every``-th of the following frames (:meth:`.Upright.spare`)."""
         if self._upright is not None:
             self._upright.spare(every)
 
     def again(self, index: int, features: Features2D) -> RgbdFrame:
-        """Frame ``index``, which was read before, with the ``features`` that it had."""
+        """Return frame ``index``, which was read before, with the features that it had."""
         known = self._known.get(index)
         if known is not None and known.frame is not None:
             return known.frame
@@ -100,9 +100,9 @@ class FrameReader(Closing):
     def rewind(self) -> None:
         """Begin again with the first frame.
 
-        If the frames were read in order from the first one on, :meth:`read` gives what it gave then and, where that ends, goes
-        on as if it had never stopped. Otherwise nothing is known any more: which face the detector keeps, and which way up
-        it believes it to be, depends on the order of the frames.
+        If the frames were read in order from the first one on, :meth:`read` returns the same frames again, and then continues
+        as if it had never stopped. Otherwise everything is forgotten, because the face that the detector follows, and its
+        upright direction, depend on the order of the frames.
         """
         self._remember, self._abilities = False, Abilities.of(self.source)
         self.spare(1)
@@ -115,7 +115,7 @@ class FrameReader(Closing):
             self.skipped.clear()
 
     def camera_changed(self) -> None:
-        """Of what is remembered, keep the features only: the source's camera is another one now."""
+        """Keep only the features of what is remembered, because the source's camera has changed."""
         for index, known in self._known.items():
             self._known[index] = None if known is None else dataclasses.replace(known, frame=None)
 
@@ -150,7 +150,7 @@ class FrameReader(Closing):
             self._known[index] = _Remembered(frame.features, self.quarters, frame if held else None)
 
     def _recall(self, index: int) -> RgbdFrame | None:
-        """What was read before, once: the tracking goes on from frame to frame."""
+        """Return and forget what was read before, because tracking goes on from frame to frame."""
         known = self._known.pop(index)
         if known is None or known.frame is not None:
             return None if known is None else known.frame
@@ -159,16 +159,16 @@ class FrameReader(Closing):
 
     @property
     def quarters(self) -> int:
-        """Quarters of a turn anticlockwise, 0 where the features come with the frames."""
+        """Quarters of a turn anticlockwise; 0 if the features come with the frames."""
         return 0 if self._upright is None else self._upright.quarters
 
     def timestamp(self, index: int) -> float:
-        """Seconds at which frame ``index`` was due, for one that cannot be read."""
+        """Time at which an unreadable frame ``index`` was due, s."""
         timestamps = self._abilities.timestamps
         return float(timestamps[index]) if timestamps is not None else index / self._abilities.fps
 
     def fail(self, message: str) -> TrackingError:
-        """An error that says ``message`` and, where frames were skipped, how many and the first reason."""
+        """Make an error with ``message`` and, if frames were skipped, their number and the first reason."""
         if self.skipped:
             message += f"; {len(self.skipped)} broken frames, the first: {next(iter(self.skipped.values()))}"
         return TrackingError(f"{self.source.name}: {message}")
@@ -176,7 +176,7 @@ class FrameReader(Closing):
 
 @contextmanager
 def reading(source: FrameSource | FrameReader, detector: FeatureDetector | None) -> Iterator[FrameReader]:
-    """The reader itself, which whoever made it closes, or one of the source for this once."""
+    """Return a given reader, which its owner closes, or a new reader of a source, which is closed at the end."""
     if isinstance(source, FrameReader):
         yield source
     else:

@@ -30,7 +30,7 @@ OnFrame = Callable[[TrackedFrame, RgbdFrame], None]
 
 
 class TrackingInterrupted(KeyboardInterrupt):
-    """Ctrl-C during :func:`track_source`; ``result`` holds the frames tracked until then."""
+    """Ctrl-C was pressed during :func:`track_source`. ``result`` holds the frames so far."""
 
     def __init__(self, result: Result) -> None:
         super().__init__(f"interrupted after {len(result)} frames")
@@ -49,27 +49,27 @@ def track_source(
 ) -> Result:
     """Track every frame of a source (sections 4 to 6).
 
-    Broken frames are skipped and counted (``Result.skipped`` and ``Result.reasons``). A source that says ``colour_only`` is
-    tracked by its features alone, a degraded mode.
+    Broken frames are skipped and counted (``Result.skipped`` and ``Result.reasons``). A source with ``colour_only`` is
+    tracked by its features alone, which is a degraded mode.
 
     Parameters
     ----------
     source : FrameSource or FrameReader
-        Where the frames come from. A reader that remembers what it read for the capture does not read that again.
+        Where the frames come from. A reader that remembers the frames of the capture does not read them again.
     actor : Actor
         The rig of the person.
     parameters : Parameters, optional
         Our defaults without.
     progress : bool
-        Show a bar on stderr.
+        Whether to show a bar on stderr.
     keep_stages : bool
-        Keep v1, v2 and v3 besides the final mesh.
+        Whether to keep v1, v2 and v3 besides the final mesh.
     on_frame : callable, optional
-        Called with the tracked frame and the source's frame once a frame is done.
+        Called with the tracked frame and the source's frame after every frame.
     detector : FeatureDetector, optional
-        Finds 2D features where the source brings none; made on first need. A ``FrameReader`` has its own.
+        Finds 2D features if the source brings none; made when it is needed. A ``FrameReader`` has its own.
     folder : pathlib.Path, optional
-        Keep the rows in files there instead of in memory; see :func:`track_to_file`.
+        Where the rows are stored as files instead of in memory; see :func:`track_to_file`.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def track_source(
 
 
 class _Run:
-    """A source being tracked: the tracker, and what watches the frames beside it."""
+    """A source that is being tracked: the tracker, and what else watches the frames."""
 
     def __init__(
         self, reader: FrameReader, actor: Actor, parameters: Parameters, keep_stages: bool, folder: Path | None
@@ -132,7 +132,7 @@ class _Run:
         return self.gaze.onto(self.builder.finish(self.tracker.model.correctives, self.tracker.expressions))
 
     def judged(self) -> Result:
-        """The finished result. Raises :class:`TrackingError` where it is of no use, and warns of what is doubtful."""
+        """Return the finished result. Raises :class:`TrackingError` if it is useless, and warns about doubts."""
         count, name = len(self.reader.source), self.reader.source.name
         if len(self.reader.skipped) == count:
             raise self.reader.fail("no frame can be used")
@@ -148,12 +148,12 @@ class _Run:
 def track_to_file(
     source: FrameSource | FrameReader, actor: Actor, path: str | os.PathLike, parameters: Parameters | None = None, **options
 ) -> Result:
-    """:func:`track_source`, saved as ``path`` (an ``.npz``), in bounded memory however long the source is.
+    """Run :func:`track_source` and save its result as ``path`` (an ``.npz``), in bounded memory for sources of any length.
 
-    While it runs the frames are in the folder ``NAME.unfinished`` beside ``path``, which
-    :meth:`~adaptiveface.result.Result.load` reads. It goes when the result is saved, or when there is nothing in it; it
-    stays when the process is killed, the disk is full, or anything else goes wrong. ``options`` of :func:`track_source`,
-    which says what is raised.
+    Meanwhile the frames are in the folder ``NAME.unfinished`` beside ``path``, which
+    :meth:`~adaptiveface.result.Result.load` can read. The folder is removed when the result is saved, or if it is empty. It
+    remains if the process is killed, the disk is full, or anything else goes wrong. ``options`` and errors are those of
+    :func:`track_source`.
     """
     folder = unfinished_folder(path)
     try:
@@ -161,6 +161,6 @@ def track_to_file(
     except TrackingError:
         discard(folder)
         raise
-    result = Result.load(path)  # from here on nothing holds the files in the folder
+    result = Result.load(path)  # nothing uses the files in the folder any more
     discard(folder)
     return result

@@ -1,4 +1,4 @@
-"""Hold what tracking leaves behind: rows while it runs (:mod:`.rows`), the whole :class:`Result`, ways to look into it."""
+"""Hold the output of tracking: rows while it runs (:mod:`.rows`), the whole :class:`Result`, and access to its frames."""
 
 from .result import COLOUR_ONLY, MESHES, Result, ResultBuilder
 

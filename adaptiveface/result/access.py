@@ -1,4 +1,4 @@
-"""Looking into a result from Python: frame by frame, by name, and as tables."""
+"""Read a result in Python frame by frame, by name, and as tables."""
 
 from __future__ import annotations
 
@@ -27,9 +27,24 @@ if TYPE_CHECKING:
 class ResultFrame:
     """One frame of a result, ``result[index]``.
 
-    index; timestamp s; tracked: the face was tracked in this frame; reason: why not, or "". head_pose (4, 4) head to camera,
-    mm. camera_vertices (N, 3) mm: the final mesh v4 in the camera frame (x right, y down, z forward). coefficients (A,) by
-    ``expression_names``. Arrays of a frame that is not tracked are those of the last tracked one.
+    The arrays of a frame that is not tracked are those of the last tracked one.
+
+    Attributes
+    ----------
+    index : int
+        Number of the frame.
+    timestamp : float
+        Seconds.
+    tracked : bool
+        Whether the face was tracked in this frame.
+    reason : str
+        Why it was not, or "".
+    head_pose : (4, 4)
+        Head frame to camera frame, mm.
+    camera_vertices : (N, 3)
+        The final mesh v4 in the camera frame (x right, y down, z forward), mm.
+    coefficients : (A,)
+        Of the expressions ``expression_names``.
     """
 
     index: int
@@ -44,12 +59,12 @@ class ResultFrame:
 
     @property
     def head_vertices(self) -> np.ndarray:
-        """(N, 3) float64 mm: v4 in the head frame (x to the subject's left, y up, z out of the face)."""
+        """v4 (N, 3) float64 in the head frame (x to the subject's left, y up, z out of the face), mm."""
         return to_head(self.head_pose, self.camera_vertices)
 
     @property
     def curves(self) -> dict[str, float]:
-        """Name of each expression -> its re-solved coefficient, 0 to 1."""
+        """The re-solved coefficient of each expression by its name, 0 to 1."""
         return dict(zip(self.expression_names, self.coefficients.astype(float).tolist(), strict=True))
 
     def __repr__(self) -> str:
@@ -58,12 +73,12 @@ class ResultFrame:
 
 
 def to_head(head_pose: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(N, 3) float64 mm in the head frame of vertices (N, 3) mm in the camera frame; head_pose (4, 4): head to camera."""
+    """Turn camera-frame vertices (N, 3) into the head frame, float64 mm. ``head_pose`` (4, 4) is head to camera."""
     return transform_points(np.linalg.inv(np.asarray(head_pose, float)), np.asarray(vertices, float))
 
 
 class ResultAccess:
-    """What :class:`~adaptiveface.result.Result` offers besides its arrays."""
+    """Access to the frames of a :class:`~adaptiveface.result.Result`, besides its arrays."""
 
     if TYPE_CHECKING:  # the fields of Result that are used here
         timestamps: np.ndarray
@@ -91,7 +106,7 @@ class ResultAccess:
     def __getitem__(self, key: slice) -> Self: ...
 
     def __getitem__(self, key: int | slice) -> ResultFrame | Self:
-        """Frame ``key`` (negative: from the end), or the result of the frames of a slice. Raises :class:`IndexError`."""
+        """Return frame ``key`` (negative: from the end), or the result of a slice. Raises :class:`IndexError`."""
         if isinstance(key, slice):
             result = cast(Any, self)
             rows = {name: getattr(self, name) for name, entry in declared(type(result)) if entry.shape[:1] == ("F",)}
@@ -110,7 +125,7 @@ class ResultAccess:
         )
 
     def __iter__(self) -> Iterator[ResultFrame]:
-        """The frames, one after the other."""
+        """Yield the frames in order."""
         return (self[index] for index in range(len(self)))
 
     def __repr__(self) -> str:
@@ -122,19 +137,19 @@ class ResultAccess:
 
     @property
     def camera_vertices(self) -> np.ndarray:
-        """(F, N, 3) float32 mm: the final meshes v4 in the camera frame, the array ``vertices`` by its frame's name."""
+        """The final meshes v4 (F, N, 3) float32 in the camera frame, mm: another name of the array ``vertices``."""
         return self.vertices
 
     @property
     def head_vertices(self) -> np.ndarray:
-        """(F, N, 3) float64 mm: the final meshes v4 in the head frame, where the head does not move.
+        """The final meshes v4 (F, N, 3) float64 in the head frame, in which the head does not move, mm.
 
-        All at once: of a long take ask frame by frame, ``result[i].head_vertices``, or use :meth:`head_blocks`.
+        All frames are computed at once. For a long take, use ``result[i].head_vertices`` or :meth:`head_blocks`.
         """
         return self.head_meshes(np.arange(len(self)))
 
     def head_meshes(self, frames: np.ndarray) -> np.ndarray:
-        """(f, N, 3) float64 mm: the final meshes v4 of the frames with numbers (f,), in the head frame."""
+        """The final meshes v4 (f, N, 3) float64 of the frames with numbers (f,) in the head frame, mm."""
         meshes = np.empty((len(frames), *self.vertices.shape[1:]))
         for mesh, frame in zip(meshes, frames, strict=True):
             mesh[:] = to_head(self.head_pose[frame], self.vertices[frame])
@@ -142,23 +157,23 @@ class ResultAccess:
         return meshes
 
     def head_blocks(self, size: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
-        """The final meshes v4 in the head frame, ``size`` frames at a time: which frames, and (f, N, 3) float64 mm."""
+        """Yield ``size`` frames at a time: their slice, and their meshes v4 (f, N, 3) float64 in the head frame, mm."""
         for start in range(0, len(self), size):
             part = slice(start, min(start + size, len(self)))
             yield part, self.head_meshes(np.arange(part.start, part.stop))
 
     def rig(self, actor: Actor) -> Actor:
-        """The tracked actor with the expressions that the coefficients of this result mean.
+        """Return the tracked actor with the expressions to which the coefficients of this result belong.
 
         Parameters
         ----------
         actor : Actor
-            The rig that was tracked. Its own expressions are what personal blendshapes started from.
+            The rig that was tracked. Personal blendshapes started from its expressions.
 
         Returns
         -------
         Actor
-            With the expressions as they were at the end of the run; ``actor`` itself where none were learned.
+            With the expressions at the end of the run; ``actor`` itself if none were learned.
 
         Raises
         ------
@@ -177,29 +192,33 @@ class ResultAccess:
         return replace(actor, blendshapes=blendshapes)
 
     def mesh(self, frame: int, stage: str = "v4", reference: np.ndarray | str = "v1") -> PolyData:
-        """One frame's mesh for pyvista.
+        """Return the mesh of one frame for pyvista.
 
         Parameters
         ----------
         frame : int
-            Its number, negative from the end.
+            Its number; negative numbers count from the end.
         stage : str
-            "v1" to "v4"; all but v4 are in the result with ``--keep-stages`` only.
+            "v1" to "v4". All except v4 are only in results with ``--keep-stages``.
         reference : numpy.ndarray or str
-            What the displacement is measured from: (N, 3) mm in the head frame, as ``actor.neutral``, or a stage. The
-            default is the blendshape fit v1; where it was not kept, there is no displacement.
+            The origin of the displacement: (N, 3) mm in the head frame, such as ``actor.neutral``, or a stage. The
+            default is the blendshape fit v1. If v1 was not kept, there is no displacement.
 
         Returns
         -------
         pyvista.PolyData
-            In mm, the head held still: x out of the face, y to the subject's left, z up. Arrays: ``displacement`` (N, 3)
-            from the reference, its length ``distance`` (N,), ``corrective 1`` ... (N, 3) as learned at the end, each scaled
-            to move up to 1 mm, ``normals`` (N, 3).
+            The mesh in mm, with the head at rest: x points out of the face, y to the subject's left, z up. Its arrays are
+            ``displacement`` (N, 3) from the reference, its length ``distance`` (N,), the correctives ``corrective 1`` ...
+            (N, 3) at the end, each scaled to move up to 1 mm, and ``normals`` (N, 3).
 
         Raises
         ------
-        IndexError, ParameterError, MissingExtraError
-            No such frame; no such stage, or not kept; no pyvista.
+        IndexError
+            There is no such frame.
+        ParameterError
+            There is no such stage, or it was not kept.
+        MissingExtraError
+            pyvista is not installed.
         """
         index = range(len(self))[frame]
         vertices = self._stage(index, stage)
@@ -214,7 +233,7 @@ class ResultAccess:
         return surface(vertices, self.triangles, displacement=moved, distance=length, **arrays)
 
     def _stage(self, index: int, stage: str) -> np.ndarray:
-        """(N, 3) head frame, mm: a stage's mesh of a frame."""
+        """A stage's mesh (N, 3) of a frame in the head frame, mm."""
         meshes = {"v1": self.v1, "v2": self.v2, "v3": self.v3, "v4": self.vertices}
         if stage not in meshes:
             raise ParameterError(f"stage {stage!r} is none of {', '.join(meshes)}")
@@ -224,14 +243,14 @@ class ResultAccess:
         return to_head(self.head_pose[index], mesh[index])
 
     def curves(self, initial: bool = False, gaps: bool = False) -> DataFrame:
-        """The coefficients as a table: a row per frame, a column per expression, the time as index.
+        """Return the coefficients as a table with a row per frame, a column per expression, and the time as index.
 
         Parameters
         ----------
         initial : bool
-            Those of the first fit (section 4.2) instead of those re-solved from the final mesh (section 6).
+            Whether to return those of the first fit (section 4.2) instead of those re-solved from the final mesh (section 6).
         gaps : bool
-            NaN where the face was not tracked, instead of the last values.
+            Whether frames without a tracked face are NaN instead of the last values.
 
         Returns
         -------
@@ -249,9 +268,9 @@ class ResultAccess:
 
 
 def time_table(values: np.ndarray, timestamps: np.ndarray, names: tuple[str, ...]) -> DataFrame:
-    """A ``DataFrame`` of values (F, A) with columns ``names`` and the times (F,) s as index.
+    """Make a ``DataFrame`` of values (F, A) with columns ``names`` and the times (F,) s as index.
 
-    Raises :class:`MissingExtraError` where pandas is not installed.
+    Raises :class:`MissingExtraError` if pandas is not installed.
     """
     try:
         import pandas

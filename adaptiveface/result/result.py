@@ -1,4 +1,4 @@
-"""Result files: everything a tracked performance leaves behind, frame by frame, in one ``result.npz``."""
+"""Save and load the result of a tracked performance, frame by frame, in one ``result.npz``."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ..tracking.verdict import face_seen, verdict
 from .access import ResultAccess
 from .rows import HEAD, REASON, ROWS, FileRows, MemoryRows, read_rows
 
-#: How everything that people read calls a result that was tracked without depth.
+#: The name of results that were tracked without depth, in everything that people read.
 COLOUR_ONLY = "colour only: no depth, degraded"
 
 
-#: Meshes of every frame, which stay on the disk in long takes.
+#: Meshes of every frame. In long takes they stay on the disk.
 MESHES = ("vertices", "v1", "v2", "v3")
 _KEPT = "camera frame, with `--keep-stages`"
 
@@ -36,13 +36,13 @@ _KEPT = "camera frame, with `--keep-stages`"
 @record
 @dataclass(frozen=True, repr=False)
 class Result(ResultAccess):
-    """A tracked performance; one entry per frame of the source.
+    """A tracked performance, with one entry per frame of the source.
 
-    F frames, N vertices, T triangles, A expressions, S stages, K correctives, R regions of held-out landmarks.
+    Shapes: F frames, N vertices, T triangles, A expressions, S stages, K correctives, R regions of held-out landmarks.
 
-    A frame that is not tracked repeats mesh, pose and coefficients of the last tracked one (before the first one: of the
-    first one; without any: the neutral, unmoved). It has sample state UNTRACKED and 0 for its distances.
-    :func:`~adaptiveface.sensors.orientation.as_tracked` does with a source what ``mirrored`` and ``turned`` say.
+    A frame that is not tracked repeats mesh, pose and coefficients of the last tracked frame, or of the first tracked one if
+    there is none before it. Without any tracked frame, it has the neutral without motion. Its sample state is UNTRACKED, and
+    its distances are 0. :func:`~adaptiveface.sensors.orientation.as_tracked` turns a source as ``mirrored`` and ``turned`` say.
     """
 
     vertices: np.ndarray = array("F N 3", doc="final mesh v4, camera frame", unit="mm")
@@ -88,7 +88,7 @@ class Result(ResultAccess):
     )
     expressions: np.ndarray | None = array(
         "A N 3",
-        doc="displacements of the expressions as learned at the end, which the coefficients mean; absent: those of `actor.npz`",
+        doc="displacements of the expressions at the end, to which the coefficients belong; absent: those of `actor.npz`",
         unit="mm",
         optional=True,
         default=None,
@@ -111,7 +111,7 @@ class Result(ResultAccess):
         default=None,
     )
     gaze_known: np.ndarray | None = array(
-        "F 2", "b", "the gaze was measured in this frame, else it is held", optional=True, default=None
+        "F 2", "b", "the gaze was measured in this frame; otherwise it is held", optional=True, default=None
     )
 
     def __len__(self) -> int:
@@ -127,7 +127,7 @@ class Result(ResultAccess):
         expressions: np.ndarray | None = None,
         keep_stages: bool = False,
     ) -> Result:
-        """The result of frames that a tracker gave.
+        """Make the result of tracked frames.
 
         Parameters
         ----------
@@ -140,14 +140,19 @@ class Result(ResultAccess):
         correctives : (3n, K), optional
             The tracker's corrective shapes at the end, over the n frontal vertices.
         expressions : (A, N, 3), optional
-            The tracker's expressions at the end, mm; without, those of the actor.
+            The tracker's expressions at the end, mm; those of the actor by default.
         keep_stages : bool
-            Keep the meshes v1, v2 and v3, too.
+            Whether to keep the meshes v1, v2 and v3, too.
+
+        Returns
+        -------
+        Result
+            Of all frames.
 
         Raises
         ------
         ParameterError
-            A frame is missing, or not in its place.
+            A frame is missing or out of order.
         """
         frames = list(frames)
         builder = ResultBuilder(actor, parameters or Parameters(), len(frames), keep_stages)
@@ -159,12 +164,12 @@ class Result(ResultAccess):
 
     @property
     def doubt(self) -> str:
-        """What has to be said first: too few frames are tracked, or the face does not fit; "" where all is well."""
+        """The most important warning: too few frames are tracked, or the face does not fit; "" if there is none."""
         first = verdict(self.tracked, self.skipped, self.reasons)
         return first or ("" if self.held_out is None else warn(self.held_out[self.tracked], self.held_out_regions))
 
     def summary(self) -> str:
-        """A few lines for people: how many frames were tracked and learned from, and the median time of each stage."""
+        """Describe in a few lines how many frames were tracked and learned from, and the median time of each stage."""
         lost = int((~self.tracked & ~self.skipped).sum())
         seen = sum(face_seen(reason) for reason, skip in zip(self.reasons, self.skipped, strict=True) if not skip)
         learned = int((self.sample_state == SampleState.LEARNED).sum())
@@ -192,7 +197,7 @@ class Result(ResultAccess):
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike) -> None:
-        """Write ``result.npz`` (uncompressed: coordinates hardly shrink), whole or not at all."""
+        """Write ``result.npz`` completely or not at all. It is not compressed, because coordinates hardly shrink."""
         known = arrays(self)
         if self.held_out is None:
             del known["held_out_regions"]
@@ -200,10 +205,25 @@ class Result(ResultAccess):
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Result:
-        """Read ``result.npz``, or the ``result.unfinished`` that a run left which was killed.
+        """Read ``result.npz``, or the folder ``result.unfinished`` of a run that was killed.
 
-        Meshes of long takes stay on the disk (``vertices`` is then a read-only map of the file): walk over them with
-        :func:`adaptiveface.files.blocks`. Raises :class:`FileFormatError` naming the file and the array.
+        The meshes of long takes stay on the disk, and ``vertices`` is then a read-only map of the file. Read them in parts with
+        :func:`adaptiveface.files.blocks`.
+
+        Parameters
+        ----------
+        path : path-like
+            The file or the folder.
+
+        Returns
+        -------
+        Result
+            The performance.
+
+        Raises
+        ------
+        FileFormatError
+            The message names the file and the array.
         """
         path = Path(path)
         if path.is_dir():
@@ -219,13 +239,13 @@ class Result(ResultAccess):
         return cls(**_consistent(data))
 
 
-#: A row's arrays, as they follow each other in ``rows.bin``: by their size, as processors like it.
+#: Order of a row's arrays in ``rows.bin``: by their size, so that they are aligned.
 _ROW: tuple[str, ...] = ("timestamps", *MESHES, "rigid", "coefficients", "coefficients_initial", "stage_ms", "residual")
 _ROW += ("anchor_distance", "adaptive_distance", "held_out", "corrective_updates", "reasons")
 _ROW += ("sample_state", "tracked", "skipped")
 #: Arrays that are known only when the run ends.
 _AT_THE_END = ("correctives", "expressions")
-#: What a run that did not end has written beside its rows; the neutral is for frames without a face.
+#: Arrays that a run writes beside its rows before it ends. Frames without a face need the neutral.
 _HEAD = {name: entry for name, entry in checks(Result).items() if "F" not in entry.shape and name not in _AT_THE_END}
 _HEAD |= {"neutral": Field(("N", 3)), "stages": Field((), "b")}
 
@@ -243,12 +263,25 @@ def _of_unfinished(folder: Path) -> Result:
 
 
 class ResultBuilder:
-    """Collects a run frame by frame; 0.09 MB per frame of 7,053 vertices, four times that with the stages.
+    """Collects a run frame by frame: 0.09 MB per frame of 7,053 vertices, and four times as much with the stages.
 
-    ``add`` or ``skip`` once per frame in order, then ``finish`` (at any time: frames not reached are left out). More
-    frames than ``n_frames`` make it grow. ``folder``: keep the rows in files there (see :mod:`adaptiveface.result.rows`), in
-    bounded memory and safe from whatever ends the process; :func:`adaptiveface.result.rows.discard` it once the result is
-    saved.
+    Call ``add`` or ``skip`` once per frame in order, and ``finish`` at any time. Frames that were not reached are left out.
+
+    Parameters
+    ----------
+    actor : Actor
+        The rig that is tracked.
+    parameters : Parameters
+        Of the tracker.
+    n_frames : int
+        Expected number of frames. More frames make the builder grow.
+    keep_stages : bool
+        Whether to keep the meshes v1, v2 and v3, too.
+    colour_only : bool
+        Whether the source has no depth.
+    folder : pathlib.Path, optional
+        Where the rows are stored as files (:mod:`adaptiveface.result.rows`), so that memory is bounded and nothing is lost if
+        the process ends. Call :func:`adaptiveface.result.rows.discard` when the result is saved.
     """
 
     def __init__(
@@ -281,11 +314,11 @@ class ResultBuilder:
 
     @property
     def done(self) -> int:
-        """How many frames there are."""
+        """Number of frames so far."""
         return len(self._rows)
 
     def add(self, frame: TrackedFrame) -> None:
-        """Take the next frame, tracked or not."""
+        """Add the next frame, tracked or not."""
         row: dict[str, object] = dict(
             timestamps=frame.timestamp,
             tracked=frame.tracked,
@@ -310,7 +343,7 @@ class ResultBuilder:
         self._write(row, "" if frame.tracked else frame.reason)
 
     def skip(self, timestamp: float, reason: str) -> None:
-        """Take note of a broken frame, which was not tracked."""
+        """Add a broken frame, which was not tracked."""
         self._write(dict(timestamps=timestamp, skipped=True, corrective_updates=self._updates), reason)
 
     def _write(self, values: dict[str, object], reason: str) -> None:
@@ -321,14 +354,19 @@ class ResultBuilder:
         self._rows.append(row)
 
     def finish(self, correctives: np.ndarray | None = None, expressions: np.ndarray | None = None) -> Result:
-        """The frames so far; those that are not tracked repeat the last tracked one.
+        """Return the frames so far, in which untracked frames repeat the last tracked one.
 
         Parameters
         ----------
         correctives : (3n, K), optional
-            The corrective shapes over the n frontal vertices, as the tracker keeps them.
+            The tracker's corrective shapes over the n frontal vertices.
         expressions : (A, N, 3), optional
-            The expressions as the tracker knows them at the end, mm (:attr:`.Tracker.expressions`).
+            The tracker's expressions at the end, mm (:attr:`.Tracker.expressions`).
+
+        Returns
+        -------
+        Result
+            Of these frames.
         """
         self._rows.close()
         head = self._head | {"mirrored": np.array(self.mirrored), "turned": np.array(self.turned)}
@@ -352,7 +390,7 @@ def _row_type(head: dict[str, np.ndarray]) -> np.dtype:
 
 
 def _of_rows(rows: np.ndarray, head: dict[str, np.ndarray], learned: dict[str, Any] | None = None) -> Result:
-    """The result of rows (F,), in which frames that are not tracked are filled in; ``learned``: what stands at the end."""
+    """Make the result of rows (F,), and fill in the untracked frames. ``learned`` are the arrays known at the end."""
     every = rows.dtype.names or ()
     names = [name for name in every if name not in MESHES]
     small = {name: np.empty((len(rows), *rows.dtype[name].shape), rows.dtype[name].base) for name in names}
@@ -382,7 +420,7 @@ def _fill_gaps(small: dict[str, np.ndarray], meshes: dict[str, np.ndarray], neut
 
 
 def _consistent(data: dict[str, Any]) -> dict[str, Any]:
-    """Attributes of a :class:`Result` without what has no meaning alone."""
+    """Remove attributes of a :class:`Result` that have no meaning alone."""
     if not data.get("held_out_regions"):
         data.pop("held_out", None)
     data["turned"] = data.get("turned", 0) % 4

@@ -1,7 +1,7 @@
-"""One row per tracked frame, in memory or in a file that grows with them and survives whatever ends the process.
+"""Store one row per tracked frame, in memory or in a growing file that survives the end of the process.
 
-The file lies in a folder beside the result that will be: ``result.unfinished`` for ``result.npz``. It holds ``head.npz``
-(what all frames share) and ``rows.bin`` (the frames, each written whole when it is done).
+The folder is beside the future result: ``result.unfinished`` for ``result.npz``. It contains ``head.npz`` with what all
+frames share, and ``rows.bin`` with the frames, each of which is written as a whole.
 :meth:`adaptiveface.result.Result.load` reads the folder, so that a run that was killed is not lost.
 """
 
@@ -22,20 +22,20 @@ from ..files.npz import write_npz
 
 _log = logging.getLogger(__name__)
 HEAD, ROWS = "head.npz", "rows.bin"
-#: Characters kept of the reason why a frame is not tracked.
+#: Largest number of characters of the reason why a frame is not tracked.
 REASON = 200
 
 
 def unfinished_folder(result: str | os.PathLike) -> Path:
-    """The folder in which a run keeps its rows until ``result`` (an ``.npz``) is written."""
+    """The folder in which a run stores its rows until ``result`` (an ``.npz``) is written."""
     return Path(result).with_suffix(".unfinished")
 
 
 def discard(folder: Path) -> None:
-    """Remove a folder of rows once its result is safe; nothing happens where there is none."""
+    """Remove a folder of rows when its result is safe. Nothing happens if there is none."""
     for name in (HEAD, ROWS):
         (folder / name).unlink(missing_ok=True)
-    with suppress(OSError):  # not there, or somebody keeps something in it
+    with suppress(OSError):  # it does not exist, or contains other files
         folder.rmdir()
 
 
@@ -50,7 +50,7 @@ def _keep_earlier(folder: Path) -> None:
 
 
 class MemoryRows:
-    """Rows in memory; they grow by half of what there is."""
+    """Rows in memory, whose space grows by half when it is full."""
 
     def __init__(self, dtype: np.dtype, expected: int) -> None:
         self._rows = np.zeros(max(expected, 1), dtype)
@@ -60,24 +60,24 @@ class MemoryRows:
         return self._done
 
     def append(self, row: np.ndarray) -> None:
-        """Keep a row () of the dtype."""
+        """Store a row () of the dtype."""
         if self._done == len(self._rows):
             self._rows.resize(self._done + self._done // 2 + 30, refcheck=False)
         self._rows[self._done] = row
         self._done += 1
 
     def all(self) -> np.ndarray:
-        """(F,) the rows so far; changes to it are kept."""
+        """The rows (F,) so far. Changes to the array are kept."""
         return self._rows[: self._done]
 
     def close(self) -> None:
-        """No more rows will come."""
+        """Close after the last row."""
 
 
 class FileRows:
-    """Rows in ``folder``, which is made. ``head``: what all frames share.
+    """Rows in ``folder``, which is made. ``head`` are the arrays that all frames share.
 
-    Rows of an earlier run that did not end are kept: its folder gets a number.
+    Rows of an earlier run that did not end are kept, and their folder is renamed with a number.
     """
 
     def __init__(self, dtype: np.dtype, folder: Path, head: dict[str, np.ndarray]) -> None:
@@ -91,10 +91,10 @@ class FileRows:
         return self._done
 
     def append(self, row: np.ndarray) -> None:
-        """Write a row () of the dtype. Raises :class:`AdaptiveFaceError` when the disk is full."""
+        """Write a row () of the dtype. Raises :class:`AdaptiveFaceError` if the disk is full."""
         try:
             data = memoryview(row.tobytes())
-            while len(data):  # one write takes what fits
+            while len(data):  # a write takes as much as fits
                 data = data[self._stream.write(data) :]
         except OSError as error:
             reason = "no space left on the disk" if error.errno == errno.ENOSPC else error.strerror
@@ -102,16 +102,16 @@ class FileRows:
         self._done += 1
 
     def all(self) -> np.ndarray:
-        """(F,) the rows so far, mapped; changes to it are kept."""
+        """The rows (F,) so far, mapped from the file. Changes to the array are kept."""
         return _mapped(self._path, self._dtype, self._done)
 
     def close(self) -> None:
-        """No more rows will come."""
+        """Close after the last row."""
         self._stream.close()
 
 
 def read_rows(folder: Path, dtype: np.dtype) -> np.ndarray:
-    """(F,) the rows that a run left in ``folder``, without one that was cut off. Raises :class:`FileFormatError`."""
+    """Read the rows (F,) of a run in ``folder``, without an incomplete one. Raises :class:`FileFormatError`."""
     path = folder / ROWS
     try:
         count = path.stat().st_size // dtype.itemsize
