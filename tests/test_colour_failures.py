@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coloured import actor_and_views, coloured_performer
 
 from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.geometry.mesh import vertex_normals
 from adaptiveface.model.actor import Actor
-from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.skin import gather_skin
 from adaptiveface.parameters import Parameters
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -31,7 +31,7 @@ Failure = Callable[[list[RgbdFrame]], list[RgbdFrame]]
 
 @pytest.fixture(scope="module")
 def sensor() -> SyntheticSensor:
-    return SyntheticSensor(7, "truedepth", NEUTRAL, 60, repeats=1, feature_noise=0.0)
+    return coloured_performer(NEUTRAL)
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +41,7 @@ def frames(sensor) -> list[RgbdFrame]:
 
 @pytest.fixture(scope="module")
 def actor(sensor) -> Actor:
-    plain = build_actor(sensor.performer.model, sensor.performer.neutral)
-    views = [(sensor.read(index), sensor.ground_truth(index).head_pose) for index in range(0, NEUTRAL, 3)]
+    plain, views = actor_and_views(sensor)
     return replace(plain, skin=gather_skin(plain, views, ON.skin))
 
 

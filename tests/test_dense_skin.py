@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from coloured import actor_and_views, coloured_performer
 from scipy.linalg import eigh
 from scipy.ndimage import map_coordinates
 
@@ -15,7 +16,6 @@ from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS, RgbdFrame
 from adaptiveface.geometry.mesh import surface_points, transform_points, triangle_normals, vertex_normals
 from adaptiveface.model.actor import Actor
-from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.skin import LIDS, gather_skin
 from adaptiveface.parameters import Parameters
 from adaptiveface.registration.association import Correspondences
@@ -32,7 +32,7 @@ NEUTRAL, FIRST, LAST = 12, 22, 34
 
 @pytest.fixture(scope="module")
 def sensor() -> SyntheticSensor:
-    return SyntheticSensor(7, "truedepth", NEUTRAL, 60, repeats=1, feature_noise=0.0)
+    return coloured_performer(NEUTRAL)
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +42,7 @@ def frames(sensor) -> list[RgbdFrame]:
 
 @pytest.fixture(scope="module")
 def actor(sensor) -> Actor:
-    plain = build_actor(sensor.performer.model, sensor.performer.neutral)
-    views = [(sensor.read(index), sensor.ground_truth(index).head_pose) for index in range(0, NEUTRAL, 3)]
+    plain, views = actor_and_views(sensor)
     return replace(plain, skin=gather_skin(plain, views, ON.skin))
 
 

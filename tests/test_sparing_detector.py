@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coloured import actor_and_views, coloured_performer
 
 from adaptiveface.geometry.frame import Features2D, RgbdFrame
 from adaptiveface.landmarks import Upright
 from adaptiveface.model.actor import Actor
 from adaptiveface.neutral.appearance import gather_appearance
-from adaptiveface.neutral.capture import build_actor
 from adaptiveface.parameters import Parameters
 from adaptiveface.pipeline.track import track_source
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -24,7 +24,7 @@ FIRST, LAST = 20, 38
 
 @pytest.fixture(scope="module")
 def sensor() -> SyntheticSensor:
-    return SyntheticSensor(7, "truedepth", 8, 40, repeats=1, feature_noise=0.5)
+    return coloured_performer(8, 40, noise=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +34,7 @@ def frames(sensor) -> list[RgbdFrame]:
 
 @pytest.fixture(scope="module")
 def actor(sensor) -> Actor:
-    plain = build_actor(sensor.performer.model, sensor.performer.neutral)
-    views = ((sensor.read(index), sensor.ground_truth(index).head_pose) for index in range(0, 8, 2))
+    plain, views = actor_and_views(sensor, step=2)
     return replace(plain, appearance=gather_appearance(plain, views, HALF.refinement))
 
 
