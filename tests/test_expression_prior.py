@@ -6,13 +6,13 @@ import pytest
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.parameters import Parameters
-from adaptiveface.tracking.expression_prior import expression_statistics, habit_penalty
+from adaptiveface.tracking.expression_prior import GOOD_FIT, expression_statistics, habit_penalty, habit_trust
 from adaptiveface.tracking.resolve import SparseResolve
 
 MODEL = embedded_face_model()
 NAMES = list(MODEL.generic_names)
-NONE = Parameters().blendshapes
-HABITS = Parameters().replace(**{"blendshapes.habits": 90}).blendshapes
+HABITS = Parameters().blendshapes
+NONE = Parameters().replace(**{"blendshapes.habits": 0}).blendshapes
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +26,17 @@ def row(**values: float) -> np.ndarray:
     for name, value in values.items():
         x[NAMES.index(name)] = value
     return x
+
+
+def face(actor, misfit: float = 0.0, **values: float) -> np.ndarray:
+    """(N, 3) mm, a mesh that the expressions miss by ``misfit`` (root mean square over the vertices, mm)."""
+    noise = np.random.default_rng(0).normal(0.0, misfit / np.sqrt(3.0), MODEL.mean.shape)
+    return MODEL.mean + np.tensordot(row(**values), actor.blendshapes, axes=1) + noise
+
+
+def solved(actor, parameters, misfit: float = 0.0, **values: float) -> np.ndarray:
+    """(A,) coefficients that the re-solve finds in :func:`face`."""
+    return SparseResolve(actor, actor.blendshapes, parameters)(face(actor, misfit, **values))
 
 
 def cost(**values: float) -> float:
@@ -57,8 +68,8 @@ def test_another_rig_has_no_habits():
 
 
 def test_a_mouth_drawn_to_both_sides_at_once_is_widened_in_another_way(actor):
-    mesh = MODEL.mean + np.tensordot(row(mouthLeft=0.5, mouthRight=0.5, mouthUpperUp=0.4), actor.blendshapes, axes=1)
-    with_habits, without = (SparseResolve(actor, actor.blendshapes, p)(mesh) for p in (HABITS, NONE))
+    drawn = dict(mouthLeft=0.5, mouthRight=0.5, mouthUpperUp=0.4)
+    with_habits, without = (solved(actor, p, 0.8, **drawn) for p in (HABITS, NONE))
     sides = [NAMES.index("mouthLeft"), NAMES.index("mouthRight")]
     smile = [NAMES.index("mouthSmileLeft"), NAMES.index("mouthSmileRight")]
     assert with_habits[sides].max() < 0.8 * without[sides].max()
@@ -66,14 +77,22 @@ def test_a_mouth_drawn_to_both_sides_at_once_is_widened_in_another_way(actor):
 
 
 def test_what_people_do_is_found_nearly_as_before(actor):
-    x = row(jawOpen=0.5, mouthLowerDown=0.3, mouthStretch=0.3, browInnerUp=0.5, browOuterUp=0.4)
-    mesh = MODEL.mean + np.tensordot(x, actor.blendshapes, axes=1)
-    found = SparseResolve(actor, actor.blendshapes, HABITS)(mesh)
-    assert np.abs(found - x).max() < 0.2 and np.corrcoef(found, x)[0, 1] > 0.95
-    wink = SparseResolve(actor, actor.blendshapes, HABITS)(
-        MODEL.mean + np.tensordot(row(eyeBlinkLeft=0.8), actor.blendshapes, axes=1)
-    )
+    x = dict(jawOpen=0.5, mouthLowerDown=0.3, mouthStretch=0.3, browInnerUp=0.5, browOuterUp=0.4)
+    found = solved(actor, HABITS, 0.55, **x)
+    assert np.abs(found - row(**x)).max() < 0.2 and np.corrcoef(found, row(**x))[0, 1] > 0.95
+    wink = solved(actor, HABITS, 0.55, eyeBlinkLeft=0.8)
     assert wink[NAMES.index("eyeBlinkLeft")] > 0.5 and wink[NAMES.index("eyeBlinkRight")] < 0.1
+
+
+@pytest.mark.parametrize("name", ["mouthLowerDown", "chinRaise", "jawForward", "mouthRoll", "mouthUpperUp"])
+def test_what_people_seldom_do_alone_keeps_its_size_where_the_expressions_fit(actor, name):
+    np.testing.assert_array_equal(solved(actor, HABITS, 0.2, **{name: 0.8}), solved(actor, NONE, 0.2, **{name: 0.8}))
+    assert solved(actor, HABITS, 0.8, **{name: 0.8})[NAMES.index(name)] < solved(actor, NONE, 0.8, **{name: 0.8}).max()
+
+
+def test_habits_count_as_much_as_the_expressions_misfit():
+    assert habit_trust(0.0, 100) == habit_trust(100 * GOOD_FIT**2, 100) == 0.0
+    assert habit_trust(100 * (GOOD_FIT**2 + 0.5), 100) == pytest.approx(0.5)
 
 
 def test_some_expressions_of_a_rig_are_solved_by_their_own_names(actor):
@@ -84,6 +103,6 @@ def test_some_expressions_of_a_rig_are_solved_by_their_own_names(actor):
     assert SparseResolve.of(actor, names, HABITS)(mesh) == pytest.approx([0.6, 0.0, 0.0], abs=0.05)
 
 
-def test_habits_are_off_unless_asked_for():
-    assert NONE.habits == 0.0
+def test_the_paper_has_no_habits():
+    assert HABITS.habits > 0.0
     assert Parameters.paper().blendshapes.habits == 0.0

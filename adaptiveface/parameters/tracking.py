@@ -116,9 +116,8 @@ class BlendshapeParameters(Stage):
     )
     ridge: float = parameter(10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0)
     habits: float = parameter(
-        0.0,
-        "penalty, in the re-solve, on combinations of expressions that real faces do not make; 90 for people",
-        unit="mm^2",
+        400.0,
+        "penalty, in the re-solve, on combinations of expressions that real faces do not make, times the misfit's variance",
         section="6",
         low=0,
         high=1e5,

@@ -13,7 +13,7 @@ from ..errors import FileFormatError
 from ..model.actor import Actor
 from ..parameters import BlendshapeParameters
 from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
-from .expression_prior import habit_penalty
+from .expression_prior import habit_penalty, habit_trust
 
 #: Number of frontal vertices for which ``blendshapes.sparsity`` holds.
 SPARSITY_VERTICES = 3500
@@ -22,7 +22,8 @@ SPARSITY_VERTICES = 3500
 class SparseResolve:
     """Finds few bounded coefficients that explain a mesh over the frontal region.
 
-    Departure from the paper: see :func:`sparsity_penalty`. With ``sparsity`` 0 this is the plain bounded fit.
+    Departures from the paper: see :func:`sparsity_penalty`, and the habits of real faces (:mod:`.expression_prior`), which
+    count as much as the expressions misfit the mesh. With ``sparsity`` and ``habits`` 0 this is the plain bounded fit.
 
     Parameters
     ----------
@@ -54,9 +55,9 @@ class SparseResolve:
         gram = rows @ rows.T
         self._basis = rows.astype(dtype, copy=False)
         self._penalty = sparsity_penalty(gram, parameters.sparsity, len(self._frontal))
-        self._matrix = gram + parameters.ridge * np.eye(count)
-        if parameters.habits:
-            self._matrix += parameters.habits * habit_penalty(actor.expression_names[:count])
+        self._gram, self._matrix = gram, gram + parameters.ridge * np.eye(count)
+        self._habits = parameters.habits * habit_penalty(actor.expression_names[:count])
+        self._has_habits = bool(self._habits.any())
         self._bounds = np.full(count, parameters.lower), np.full(count, parameters.upper)
 
     @classmethod
@@ -72,7 +73,15 @@ class SparseResolve:
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """Find the coefficients (A,) of a mesh (N, 3) in the head frame, mm. ``start`` (A,) is a first guess."""
         displacement = (vertices.take(self._frontal, axis=0) - self._neutral).ravel().astype(self._dtype, copy=False)
-        return few_coefficients(self._matrix, self._basis @ displacement, self._penalty, *self._bounds, start, self._solver)
+        g = self._basis @ displacement
+        x = self._solve(self._matrix, g, start)
+        if not self._has_habits:
+            return x
+        trust = habit_trust(float(displacement @ displacement) - 2.0 * g @ x + x @ self._gram @ x, len(self._frontal))
+        return self._solve(self._matrix + trust * self._habits, g, x) if trust > 0.0 else x
+
+    def _solve(self, matrix: np.ndarray, g: np.ndarray, start: np.ndarray | None) -> np.ndarray:
+        return few_coefficients(matrix, g, self._penalty, *self._bounds, start, self._solver)
 
 
 def few_coefficients(
