@@ -16,9 +16,15 @@ from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS, RgbdFrame
 from adaptiveface.geometry.mesh import surface_points, transform_points, triangle_normals, vertex_normals
 from adaptiveface.model.actor import Actor
+<<<<<<< HEAD
+=======
+from adaptiveface.neutral.capture import build_actor
+from adaptiveface.neutral.shading import fit_light, harmonics
+>>>>>>> 69abbf0 (Dense skin counts texture, not the shading of the face's form)
 from adaptiveface.neutral.skin import LIDS, gather_skin
 from adaptiveface.parameters import Parameters
 from adaptiveface.registration.association import Correspondences
+from adaptiveface.synthetic.look import Look
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking import skin_light, skin_samples
 from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation
@@ -160,6 +166,30 @@ def test_texture_counts_and_noise_and_gloss_do_not(actor):
     assert np.median(skins["none"].coherence[:, 0]) < 0.05
     # Half of a picture's squared gradient is the skin's.
     assert 0.35 < np.median(skins["skin"].coherence[:, 0]) < 0.65
+
+
+def test_form_is_not_taken_for_texture(sensor, actor):
+    """On skin without texture the nose has slopes of brightness, all pictures show them, and they do not move with the skin."""
+    even = SyntheticSensor(7, "truedepth", NEUTRAL, 0, 1, feature_noise=0.0, performer=sensor.performer, look=Look("even"))
+    views = [(even.read(index), even.ground_truth(index).head_pose) for index in range(0, NEUTRAL, 3)]
+    counts = {}
+    for name, skin in (("drawn", actor.skin), ("even", gather_skin(actor, views, ON.skin))):
+        points = surface_points(actor.neutral, skin.triangles, skin.weights)
+        tip = actor.neutral[actor.frontal][actor.neutral[actor.frontal][:, 2].argmax()]
+        away = points - tip
+        nose = (np.abs(away[:, 0]) < 20.0) & (away[:, 1] > -8.0) & (away[:, 1] < 40.0)
+        counts[name] = np.median(skin.coherence[nose, 0]), np.median(skin.coherence[~nose, 0])
+    assert counts["even"][0] < 0.4 and counts["drawn"][1] > 0.7
+    assert counts["drawn"][0] > 2.0 * counts["even"][0], "texture on the nose is still seen"
+
+
+def test_light_of_order_two_is_found_under_texture():
+    rng = np.random.default_rng(4)
+    normals = rng.normal(size=(3000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    truth = np.array([4.5, 0.2, -0.3, 0.4, 0.05, 0.0, -0.1, 0.08, 0.02])
+    brightness = harmonics(normals) @ truth + np.where(rng.random(3000) < 0.2, -0.7, 0.01 * rng.normal(size=3000))
+    np.testing.assert_allclose(fit_light(brightness, normals, np.ones(3000)), truth, atol=0.02)
 
 
 def test_slopes_are_those_of_the_picture(actor):

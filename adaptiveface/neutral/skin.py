@@ -14,11 +14,14 @@ from ..model.actor import Actor
 from ..model.skin import MOST, Skin, skin_channels
 from ..parameters import SkinParameters
 from .appearance import MIN_COSINE, SEEN, inner_grid
+from .shading import shaded_face, texture_share
 
 #: Distance from the features of the eyes within which there is no sample, mm, because lids slide over eyeballs.
 LIDS = 9.0
 #: Half the distance over which differences of the picture give slopes, px.
 _STEP = 0.6
+#: Every so many pictures the shading is predicted, which takes some 20 ms.
+_SHADED = 5
 #: Largest number of pixels that OpenCV looks up at once, approximately.
 _ROWS = 30000
 #: Size of the cells that provide samples in turn, so that the first samples cover the face, mm.
@@ -51,7 +54,9 @@ def gather_skin(actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], par
     tangents = _tangents(normals)
     total, heavy = np.zeros((2, len(points)))
     sums, squares = np.zeros((2, len(points), 3, 3))  # of each channel: its value, and its slopes along the tangents
-    for frame, pose in views:
+    shaded, shading = np.zeros(len(points)), np.zeros((len(points), 2))
+    lit = np.flatnonzero(actor.frontal & actor.depth_valid)
+    for number, (frame, pose) in enumerate(views):
         if frame.colour is None:
             continue
         placed = transform_points(pose, points)
@@ -62,6 +67,9 @@ def gather_skin(actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], par
         heavy += weight**2
         sums += weight[:, None, None] * found
         squares += weight[:, None, None] * found**2
+        if number % _SHADED == 0 and (drawn := shaded_face(actor, frame, pose, lit)) is not None:
+            shaded += weight
+            shading += weight[:, None] * _look(drawn, frame.camera, pose, points, tangents)[:, 1:]
     kept = np.flatnonzero(total > (SEEN - MIN_COSINE) ** 4)
     if not len(kept):
         return None
@@ -69,6 +77,7 @@ def gather_skin(actor: Actor, views: Iterable[tuple[RgbdFrame, np.ndarray]], par
     variances = np.maximum(squares[kept] / total[kept, None, None] - means**2, 0.0)
     gradients, deviations = means[:, :, 1:], np.sqrt(variances[:, :, 0])
     coherence = _coherence(gradients, variances[:, :, 1:], total[kept] ** 2 / heavy[kept])
+    coherence[:, 0] *= texture_share(gradients[:, 0], shading[kept] / np.maximum(shaded[kept], 1e-12)[:, None])
     worth = (coherence * (gradients**2).sum(axis=2) / (parameters.noise**2 + deviations**2)).sum(axis=1)
     order = _most_telling(points[kept], worth)[:MOST]
     chosen = kept[order]
@@ -93,7 +102,7 @@ def _look(picture: np.ndarray, camera: Camera, pose: np.ndarray, points: np.ndar
         return _at(picture, camera.project(transform_points(pose, places)))
 
     slopes = [(at(points + step * along) - at(points - step * along)) / (2.0 * step) for along in tangents]
-    return np.stack([at(points), *slopes], axis=2)
+    return np.stack([at(points), *slopes], axis=-1)
 
 
 def _coherence(gradients: np.ndarray, variances: np.ndarray, count: np.ndarray) -> np.ndarray:
