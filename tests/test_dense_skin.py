@@ -16,11 +16,7 @@ from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, FEATURE_REGIONS, RgbdFrame
 from adaptiveface.geometry.mesh import surface_points, transform_points, triangle_normals, vertex_normals
 from adaptiveface.model.actor import Actor
-<<<<<<< HEAD
-=======
-from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.shading import fit_light, harmonics
->>>>>>> 69abbf0 (Dense skin counts texture, not the shading of the face's form)
 from adaptiveface.neutral.skin import LIDS, gather_skin
 from adaptiveface.parameters import Parameters
 from adaptiveface.registration.association import Correspondences
