@@ -128,7 +128,9 @@ class RetargetingStudy(Displayed):
         return self.resolved
 
     def _resolved(self, sparsity: float) -> np.ndarray:
-        resolve = SparseResolve.of(self.actor, self.names, BlendshapeParameters(sparsity=sparsity))
+        resolve = SparseResolve.of(
+            self.actor, self.names, BlendshapeParameters(sparsity=sparsity, habits=0.0)
+        )  # the price alone
         return np.array([resolve(r.v4, r.coefficients) for r in self.results])
 
     def _to_sliders(self, redraw) -> None:
