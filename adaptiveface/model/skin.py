@@ -61,7 +61,9 @@ def skin_channels(picture: np.ndarray) -> np.ndarray:
     changes slowly over the face: gloss has the lamp's colour, and moves over the skin as the head turns.
     """
     size = picture.shape[1], picture.shape[0]
-    _, first, second, total = mixtures(cv2.pyrDown(picture))
-    shares = cv2.merge([cv2.divide(first, total), cv2.divide(second, total)])
-    shares -= cv2.GaussianBlur(shares, (0, 0), 0.5 * SURROUNDINGS)
-    return cv2.merge([contrast(mixtures(picture)[0]), *cv2.split(cv2.pyrUp(shares, dstsize=size))])
+    brightness, *mixed = mixtures(picture)
+    first, second, total = (cv2.pyrDown(plane) for plane in mixed)
+    shares = [cv2.divide(first, total), cv2.divide(second, total)]
+    slow = [cv2.GaussianBlur(share, (0, 0), 0.5 * SURROUNDINGS) for share in shares]
+    fine = [cv2.pyrUp(share - blurred, dstsize=size) for share, blurred in zip(shares, slow, strict=True)]
+    return cv2.merge([contrast(brightness), *fine])

@@ -55,6 +55,14 @@ class SkinPicture(NamedTuple):
     lens: tuple[float, float, float, float]
 
 
+class Seen(NamedTuple):
+    """What a picture shows of Q samples: ``values`` (Q, 3), their unit ``normals`` (Q, 3), how much each counts (Q,)."""
+
+    values: np.ndarray
+    normals: np.ndarray
+    counts: np.ndarray
+
+
 @dataclass(frozen=True)
 class Looks:
     """One picture that is compared with the neutral's colours, look after look.
@@ -66,12 +74,12 @@ class Looks:
     first : SkinTerm
         The rows at the last frame's displacement.
     again : callable
-        The rows at another displacement (n, 3), mm; None where no colour tells anything.
+        The rows at another displacement (n, 3), mm.
     """
 
     deformation: LaplacianDeformation
     first: SkinTerm
-    again: Callable[[np.ndarray], SkinTerm | None]
+    again: Callable[[np.ndarray], SkinTerm]
 
 
 class DenseSkin:
@@ -118,19 +126,27 @@ class DenseSkin:
 
         ``measured`` (n,) bool: depth was found there. None where no colour tells anything.
         """
-        picture = self._picture(frame, transform_points(pose, vertices + displacement))
+        placed = transform_points(pose, vertices + displacement)
+        picture = self._picture(frame, placed)
         if picture is None:
             return None
+        seen = self._see(picture, placed, measured)
+        expected, believed = self._expect(seen)
+        if not (believed.any() and seen.counts.any()):
+            return None
 
-        def again(displacement: np.ndarray) -> SkinTerm | None:
-            placed = transform_points(pose, vertices + displacement)
-            matrices, forces = self._rows(picture, placed, pose, measured)
-            if not matrices.any():
-                return None
+        def rows(placed: np.ndarray, seen: Seen, displacement: np.ndarray) -> SkinTerm:
+            residuals = seen.values - expected
+            weights = row_weights(residuals, seen.counts, self._variances, self._shares, believed)
+            turn = np.ascontiguousarray(pose[:3, :3])
+            matrices, forces = normal_equations(residuals, weights, self._skin.slopes, placed, self._corners, turn)
             return SkinTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
 
-        first = again(displacement)
-        return None if first is None else Looks(self.deformation, first, again)
+        def again(displacement: np.ndarray) -> SkinTerm:
+            placed = transform_points(pose, vertices + displacement)
+            return rows(placed, self._see(picture, placed, measured), displacement)
+
+        return Looks(self.deformation, rows(placed, seen, displacement), again)
 
     def _picture(self, frame: RgbdFrame, placed: np.ndarray) -> SkinPicture | None:
         """What a frame shows around the vertices ``placed`` (n, 3), camera frame; None without colour, or too little."""
@@ -145,19 +161,18 @@ class DenseSkin:
         lens = camera.fx, camera.fy, camera.cx - float(u), camera.cy - float(v)
         return SkinPicture(skin_channels(frame.colour[v:bottom, u:right]), lens)
 
-    def _rows(
-        self, picture: SkinPicture, placed: np.ndarray, pose: np.ndarray, measured: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """M (Q, 3, 3) and -sum_c w_qc r_qc g_qc (Q, 3), both in the head frame, where vertices are ``placed`` (n, 3)."""
-        skin, reach = self._skin, picture.lens[0] * self.parameters.spacing
-        points, normals, counts = carry(placed, self._corners, skin.weights, measured, reach)
-        values = look_up(picture.channels, points, picture.lens, counts)
-        known = counts[:, None] / self._variances
-        some = slice(None, None, _LIGHT_STRIDE)
-        light = fit_light(values[some], skin.colours[some], normals[some], known[some])
-        expected = in_light(light, skin.colours, normals)
-        residuals = values - expected
-        believed = trust(residuals, expected, known, counts)
-        weights = row_weights(residuals, counts, self._variances, self._shares, believed)
-        turn = np.ascontiguousarray(pose[:3, :3])
-        return normal_equations(residuals, weights, skin.slopes, placed, self._corners, turn)
+    def _see(self, picture: SkinPicture, placed: np.ndarray, measured: np.ndarray) -> Seen:
+        """What the picture shows of the samples where vertices are ``placed`` (n, 3), camera frame."""
+        reach = picture.lens[0] * self.parameters.spacing
+        points, normals, counts = carry(placed, self._corners, self._skin.weights, measured, reach)
+        return Seen(look_up(picture.channels, points, picture.lens, counts), normals, counts)
+
+    def _expect(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (Q, 3) that a picture should show in its light, and how far its channels are believed (3,).
+
+        They serve for all looks at a picture: between two looks the skin moves by less than light changes over the face.
+        """
+        skin, known, some = self._skin, seen.counts[:, None] / self._variances, slice(None, None, _LIGHT_STRIDE)
+        light = fit_light(seen.values[some], skin.colours[some], seen.normals[some], known[some])
+        expected = in_light(light, skin.colours, seen.normals)
+        return expected, trust(seen.values - expected, expected, known, seen.counts)

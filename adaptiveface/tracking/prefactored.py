@@ -99,7 +99,7 @@ def _apply_with_planes(
     image = np.empty((count, 3))
     for i in range(count):
         a, b, c = 0.0, 0.0, 0.0
-        for k in range(starts[i], starts[i + 1]):
+        for k in range(np.uint32(starts[i]), np.uint32(starts[i + 1])):
             j, value = np.uint32(columns[k]), values[k]
             a += value * d[j, 0]
             b += value * d[j, 1]

@@ -25,7 +25,6 @@ from .feature_rows import reprojection_errors
 from .personal_blendshapes import PersonalBlendshapes
 from .printed import depth_offsets, offsets_at_features
 from .rigid import RigidFit
-from .skin_term import SkinTerm
 from .stages import Stages
 from .state import TrackerState
 from .types import STAGE_NAMES, SampleState, TrackedFrame
@@ -245,14 +244,12 @@ class FaceTracker(Tracker):
                 return self._deform_to_depth(frame, pose, v1, matches), clock
             p, planes = self.parameters, matches.normals @ pose[:3, :3]
             term = self._feature_term(frame, pose, v1, p.laplacian.feature_weight, hold_depth=False)
-        d = self.state.deformation
-        colours: SkinTerm | None = looks.first
+        d, colours = self.state.deformation, looks.first
         for left in range(p.skin.looks - 1, -1, -1):
-            with timed(ms, "laplacian"):
-                if colours is not None:  # before the last look, smooth motion is enough
-                    d = looks.deformation.deform(matches, planes, term, d, 0 if left else p.skin.cg_iterations, colours)
+            with timed(ms, "laplacian"):  # before the last look, smooth motion is enough
+                d = looks.deformation.deform(matches, planes, term, d, 0 if left else p.skin.cg_iterations, colours)
             with timed(ms, "skin"):
-                colours = looks.again(d) if left else None
+                colours = looks.again(d) if left else colours
         return d, clock
 
     def _looks(
