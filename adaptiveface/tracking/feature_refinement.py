@@ -58,6 +58,7 @@ class FeatureRefinement:
         self._nearness = np.exp(-0.5 * (away / (0.6 * parameters.radius)) ** 2)
         self._area = _areas(actor.neutral, look.triangles, look.feature)
         self._covariance = _error_covariance(actor, parameters)
+        self._inverse = (b"", np.zeros((0, 0)))
 
     def refine(self, frame: RgbdFrame, mesh: np.ndarray, pose: np.ndarray, follow: Follow) -> Features2D:
         """The frame's features at their refined pixels, each with the confidence that the picture gives it.
@@ -78,7 +79,7 @@ class FeatureRefinement:
         if min(picture.shape[:2]) < border:  # the face has left the picture
             return found
         covariance = self._covariance[np.ix_(seen, seen)] * scale**2
-        precision = np.linalg.inv(covariance)
+        precision = self._precision(seen.tobytes()) / scale**2
         features, mixed = found, mixtures(np.ascontiguousarray(picture))
         for level, blur in enumerate(BLURS):
             if level:
@@ -92,6 +93,13 @@ class FeatureRefinement:
         confidence = found.confidence.copy()
         confidence[seen] = np.minimum(confidence[seen] * gained, 1.0)
         return Features2D(pixels, confidence)
+
+    def _precision(self, seen: bytes) -> np.ndarray:
+        """Inverse covariance (n, n) of the errors of the features ``seen``, 1/mm^2. It is kept while these stay the same."""
+        if seen != self._inverse[0]:
+            index = np.frombuffer(seen, np.intp)
+            self._inverse = seen, np.linalg.inv(self._covariance[np.ix_(index, index)])
+        return self._inverse[1]
 
     def _patches(self, mesh: np.ndarray, pose: np.ndarray, camera: Camera, corner: np.ndarray, level: int) -> _Patches:
         """The samples as the mesh carries them, in pixels of the cut-out picture."""
