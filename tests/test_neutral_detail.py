@@ -9,6 +9,7 @@ import pytest
 from test_neutral_skin import scan_of
 
 from adaptiveface.evaluation import metrics
+from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.mesh import transform_points, vertex_normals
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.capture import fit_to_skin
@@ -62,3 +63,17 @@ def test_the_identity_stays_that_of_the_modes(modes):
     parameters = replace(Parameters().fit, modes=modes, iterations=8)
     fit = fit_identity(scan, MODEL, parameters)
     assert fit_detail(scan, MODEL, fit, parameters).identity.shape == (modes,)
+
+
+@pytest.mark.parametrize(
+    ("mm", "focal", "stray"), [(1.0, 540.0, False), (5.8, 540.0, True), (5.3, 230.0, False), (2.5, 1000.0, False)]
+)
+def test_features_of_another_picture_bend_no_detail(mm, focal, stray):
+    """Features 20 px beside a TrueDepth scan lie 5.8 mm off; on a Kinect v2 at 0.6 m, 5.3 mm are two pixels."""
+    scan = scan_of(MODEL.mean + [0.0, 0.0, 0.3], np.zeros(len(MODEL.triangles)), noise=0.3)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 600.0
+    scan = replace(scan, cameras=(Camera(640, 480, focal, focal, 320.0, 240.0),), poses=pose[None], features=(None,))
+    parameters = replace(Parameters().fit, modes=4, iterations=6)
+    fit = replace(fit_identity(scan, MODEL, parameters), feature_rms=np.full(40, mm), residual=1.0)
+    assert (fit_detail(scan, MODEL, fit, parameters) is fit) == stray

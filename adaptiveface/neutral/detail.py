@@ -24,6 +24,8 @@ KEPT, SPACING = 0.96, 11.0
 #: Rounds of the second fit. It expects distances from the scan of this many times the fields' size and the scan's noise, at
 #: least the last number of mm: shorter waves than the fields' are left to the shrink-wrap.
 ROUNDS, LOOSE, FINEST = 8, 1.5, 0.15
+#: Median distance of the features from the head of the modes beyond which there is no detail: mm, and pixels of the depth map.
+STRAY_MM, STRAY_PIXELS = 3.0, 3.0
 #: Standard deviation of a normal distribution over its median absolute value.
 NORMAL = 1.4826
 
@@ -59,8 +61,20 @@ def _spread(points: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarra
     return np.array(chosen, int)
 
 
+def _features_stray(scan: FusedScan, fit: IdentityFit) -> bool:
+    """Whether the 2D features lie so far from the head of the modes that they are of another picture than the depth."""
+    away = fit.feature_rms[np.isfinite(fit.feature_rms)]
+    if not len(away) or not len(scan.poses):
+        return False
+    pixels = np.median([camera.fx / pose[2, 3] for camera, pose in zip(scan.cameras, scan.poses, strict=True)])
+    return bool(np.median(away) > max(STRAY_MM, STRAY_PIXELS / pixels))
+
+
 def fit_detail(scan: FusedScan, model: FaceModel, fit: IdentityFit, parameters: FitParameters) -> IdentityFit:
-    """Fit the head once more, with the smooth fields as further modes. The very same fit for ``parameters.detail`` of 0.
+    """Fit the head once more, with the smooth fields as further modes.
+
+    The fit stays as it is for ``parameters.detail`` of 0. It also does where the features stray from it: pictures that are not
+    registered to the depth would bend the fields, and nothing would tell of it any more.
 
     Parameters
     ----------
@@ -79,7 +93,7 @@ def fit_detail(scan: FusedScan, model: FaceModel, fit: IdentityFit, parameters: 
         ``vertices`` hold the fields, ``identity`` does not.
     """
     size = parameters.detail * float(np.sqrt(max((NORMAL * fit.residual) ** 2 - scan.noise**2, 0.0)))
-    if size == 0.0:
+    if size == 0.0 or _features_stray(scan, fit):
         return fit
     known = len(fit.identity)
     fields = detail_fields(model)
