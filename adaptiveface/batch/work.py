@@ -26,7 +26,19 @@ _MAX_JSON_BYTES = 16 << 20
 
 
 def finished(folder: Path, job: Job) -> dict | None:
-    """The record of a job that was done before with the same options; None if it has to be done."""
+    """Look for the record of a job that was done before.
+
+    Parameters
+    ----------
+    folder : Path
+        The batch's output folder.
+    job : Job
+
+    Returns
+    -------
+    dict or None
+        The record. It is None if the job was not done before with the same options.
+    """
     path = folder / job.name / DONE
     if not path.is_file():
         return None
@@ -38,7 +50,7 @@ def finished(folder: Path, job: Job) -> dict | None:
 
 
 def drop_unfinished(folder: Path, job: Job) -> None:
-    """Remove what workers that were killed have left of a job that is done."""
+    """Remove the unfinished folders that killed workers left for a finished job."""
     target = folder / job.name
     for left in target.parent.glob(f"{glob.escape(target.name)}.part*"):
         if re.fullmatch(r"\.part\d+", left.name[len(target.name) :]):
@@ -53,11 +65,18 @@ def run_job(folder: str, job: Job) -> dict:
     folder : str
         The batch's output folder. The job's files go to ``folder/job.name``: ``result.npz``, ``actor.npz``,
         ``frames.csv``, the exports, the report, and ``done.json`` with the record.
+    job : Job
+        The job to do.
+
+    Returns
+    -------
+    dict
+        The record.
 
     Notes
     -----
     Errors that come from the recording or the options end in a record with ``status`` "failed" and the reason.
-    Work happens in a folder beside the job's own, which takes its place when everything is written.
+    The files are written to a temporary folder. When all are written, it replaces the job's own folder.
     """
     target = Path(folder) / job.name
     unfinished = target.with_name(f"{target.name}.part{os.getpid()}")
@@ -91,7 +110,7 @@ def _work(folder: Path, job: Job) -> dict:
 
     parameters = Parameters.from_json(job.parameters)
     source = open_source(job.source)
-    still_frames: list[int] = []  # of the neutral, if it is captured here
+    still_frames: list[int] = []  # numbers of neutral frames, if the neutral is captured here
 
     def on_take(take) -> None:
         still_frames.append(len(take.frames) if take.leading else 0)

@@ -134,7 +134,7 @@ class FeatureDetector:
         return landmarker
 
     def close(self) -> None:
-        """Release MediaPipe's threads and memory; safe to call twice."""
+        """Release MediaPipe's threads and memory. It is safe to call this twice."""
         for landmarker in self._loaded:
             _close(landmarker)
 
@@ -176,7 +176,7 @@ class FeatureDetector:
         self._kept, self._window = KeptFace(), None
 
     def _follow(self, frame: RgbdFrame) -> DetectedFace | None:
-        """The kept face in its own window. If it is not there, the window is dropped and None returned."""
+        """Find the kept face in its own window. If it is not there, drop the window and return None."""
         window, self._window = self._window, None
         if window is None or max(window[2] - frame.colour.shape[1], window[3] - frame.colour.shape[0]) > 0:
             return None
@@ -184,7 +184,7 @@ class FeatureDetector:
         return _choose(self._kept, faces, frame) if faces else None
 
     def _next(self) -> int | None:
-        """Number of the window in which a stream is searched this time; None for single images, searched in all windows."""
+        """Return the number of the window to search in a stream. It is None for single images, where all are searched."""
         self._turn += 1
         return self._turn if self._video else None
 
@@ -253,7 +253,18 @@ def _places() -> np.ndarray:
 
 
 def feature_pixels(mesh: np.ndarray) -> np.ndarray:
-    """(40, 2) places of the features on MediaPipe's ``mesh`` (478, 3), px: each a weighted mean of neighbouring landmarks."""
+    """Find the features on a face mesh. Each feature is a weighted mean of neighbouring landmarks.
+
+    Parameters
+    ----------
+    mesh : (478, 3) array
+        MediaPipe's landmarks, px.
+
+    Returns
+    -------
+    (40, 2) array
+        Places of the features, px.
+    """
     places = _places()
     return places @ mesh[: places.shape[1], :2]
 
@@ -265,13 +276,13 @@ def _in_pixels(found, shape: tuple[int, ...]) -> list[DetectedFace]:
 
 
 def _scores(categories) -> np.ndarray:
-    """(51,) scores in the order of ``SCORE_NAMES``; 0 for a score that the model file does not give."""
+    """Return the (51,) scores in the order of ``SCORE_NAMES``. A score that the model file does not give is 0."""
     found = {category.category_name: category.score for category in categories}
     return np.array([found.get(name, 0.0) for name in SCORE_NAMES])
 
 
 def confidence(mesh: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """How far each feature can be trusted when the head is turned away.
+    """Compute how far each feature can be trusted when the head is turned away.
 
     The detector guesses the far side of the face. On a rigid head, its error grows from 1.1 px where the skin faces the
     camera to 3.9 px where the skin faces away. The error of all features grows from 1.0 px to 6 px as the whole face turns
@@ -287,7 +298,7 @@ def confidence(mesh: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     Returns
     -------
     (40,) array
-        In [0, TRUST].
+        Confidence of each feature, in [0, TRUST].
     """
     facing = -vertex_normals(mesh[: triangles.max() + 1], triangles)[MEDIAPIPE_INDICES, 2]
     own = np.clip((facing + 0.3) / 1.1, 0.0, 1.0)

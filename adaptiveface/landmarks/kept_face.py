@@ -17,7 +17,17 @@ DEPTH_STEP = 150.0
 
 @dataclass(frozen=True)
 class SeenFace:
-    """The place of one face: ``centre`` (2,) px, ``size`` px (root of its box's area), ``depth`` mm (0 if not measured)."""
+    """The place of one face.
+
+    Attributes
+    ----------
+    centre : (2,) array
+        Centre of the face's box, px.
+    size : float
+        Square root of the area of the box, px.
+    depth : float
+        Median depth of the face, mm. It is 0 if no depth is measured.
+    """
 
     centre: np.ndarray
     size: float
@@ -25,7 +35,15 @@ class SeenFace:
 
     @classmethod
     def of(cls, mesh: np.ndarray, frame: RgbdFrame) -> SeenFace:
-        """Make one from landmarks (n, 2 or more) in pixels. The depth is the median of the depths measured at the landmarks."""
+        """Find the place of a face.
+
+        Parameters
+        ----------
+        mesh : (n, 2 or more) array
+            Landmarks of the face, px.
+        frame : RgbdFrame
+            The frame that shows it. The depth is the median of the depths that are measured at the landmarks.
+        """
         low, high = mesh[:, :2].min(axis=0), mesh[:, :2].max(axis=0)
         u, v = np.rint(mesh[:, :2]).astype(int).T
         height, width = frame.depth.shape
@@ -35,7 +53,7 @@ class SeenFace:
         return cls((low + high) / 2, float(np.sqrt(np.prod(high - low))), float(np.median(depth)) if len(depth) else 0)
 
     def step_from(self, other: SeenFace) -> float:
-        """Distance from ``other`` in units of the largest step of a face between frames; inf beyond one such step."""
+        """Return the distance from ``other`` as a share of a face's largest step between frames, or inf beyond that step."""
         step = float(np.linalg.norm(self.centre - other.centre)) / max(other.size, 1.0)
         if self.depth and other.depth:
             step = max(step, abs(self.depth - other.depth) / DEPTH_STEP)
@@ -97,7 +115,18 @@ class VideoClock:
         self._milliseconds, self._timestamp = -1, math.nan
 
     def tick(self, timestamp: float) -> int:
-        """Milliseconds for a frame at ``timestamp`` seconds, always more than the last call returned."""
+        """Advance the clock by one frame.
+
+        Parameters
+        ----------
+        timestamp : float
+            Time of the frame, s.
+
+        Returns
+        -------
+        int
+            Time for MediaPipe, ms. It is always larger than the last one.
+        """
         passed = timestamp - self._timestamp
         self._timestamp = timestamp
         step = round(1000 * passed) if 0 < passed <= 1.0 else 33

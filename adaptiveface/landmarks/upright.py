@@ -83,13 +83,16 @@ class Upright:
         self.quarters = leading
 
     def _lead(self) -> int:
-        """Lead of the first orientation over the second, in votes."""
+        """Return by how many votes the first orientation leads over the second."""
         first, second, *_ = sorted((self._votes[quarters] for quarters in range(4)), reverse=True)
         return first - second
 
 
 def roll_quarters(features: Features2D) -> int:
-    """Rotation of a face in its picture, in quarter turns anticlockwise, by the direction from the lips up to the eyes."""
+    """Return the rotation of a face in its picture, in quarter turns anticlockwise.
+
+    The direction from the lips to the eyes shows the rotation.
+    """
     eyes, lips = (np.nanmean(features.pixels[FEATURE_REGIONS == region], axis=0) for region in ("eyes", "lips"))
     right, down = eyes - lips
     return round(np.degrees(np.arctan2(-right, -down)) / 90.0) % 4

@@ -22,7 +22,7 @@ from .session import LiveResult, LiveSession
 #: Longest time that :meth:`LiveRun.close` waits for the current step, s. After that, it ends in the background.
 CLOSE_SECONDS = 1.0
 
-#: The states of a run, in their order. FAILED and CLOSED end it. When STARTING, the head is built but not tracked yet.
+#: The states of a run in order. FAILED and CLOSED end the run. In STARTING, the head is built but is not tracked yet.
 OPENING, SCANNING, BUILDING, STARTING, TRACKING = "opening", "scanning", "building", "starting", "tracking"
 FAILED, CLOSED = "failed", "closed"
 
@@ -30,21 +30,28 @@ FAILED, CLOSED = "failed", "closed"
 class LiveRun(Closing):
     """A sensor and everything behind it. It is a context manager.
 
-    ``state`` is one of the constants above, and ``error`` says why it is ``FAILED``. During the scan, ``guide`` and
-    ``guidance`` tell how far it is, and ``frame`` is what the sensor saw. While the head is built, ``progress`` is the step
-    and the share of it that is done. Then ``actor`` is the head, and ``session`` tracks it.
+    ``state`` is one of the constants above, and ``error`` is the reason for ``FAILED``. During the scan, ``guide`` and
+    ``guidance`` describe its progress, and ``frame`` is the newest frame of the sensor. While the head is built, ``progress``
+    is the current step and the share of it that is done. After that, ``actor`` is the head, and ``session`` tracks it.
 
-    A view polls all this, or passes ``watch``. This is called with the run, on the run's thread, at every change until tracking
-    begins; a function that :meth:`on_result` adds then sees every result. An exception in ``watch`` fails the run.
+    A view polls these attributes or passes ``watch``. Once tracking begins, the functions that were added with
+    :meth:`on_result` receive every result.
 
     Parameters
     ----------
     sensor : LiveSensor or str
         An open sensor, which stays open after :meth:`close`, or a name for :func:`open_sensor`.
     actor : Actor or path-like, optional
-        The rig, or its file. Without it, the run begins with a neutral scan of ``seconds``.
+        The rig, or its file. Without it, the run begins with a neutral scan.
+    parameters : Parameters, optional
+        The parameters of the tracker.
+    seconds : float
+        Length of the neutral scan, s.
     detect : bool
-        Let MediaPipe look for features even if the sensor brings its own.
+        Whether MediaPipe looks for features even if the sensor provides its own.
+    watch : callable, optional
+        A function that is called with the run at every change until tracking begins. It is called on the run's thread. If it
+        raises an exception, the run fails.
     """
 
     def __init__(
@@ -65,7 +72,7 @@ class LiveRun(Closing):
         self.session: LiveSession | None = None
         self.error: AdaptiveFaceError | None = None
         self._scan: NeutralScan | None = None
-        self._trouble = ""  # what a session had to say when it was closed
+        self._trouble = ""  # the error of a session when it was closed
         self._callbacks: list[Callable[[LiveResult], None]] = []
         self._watch, self._closed = watch, False
         self._lock = threading.RLock()
@@ -75,17 +82,20 @@ class LiveRun(Closing):
     # ---- for views, on any thread ----------------------------------------------------------------------------------
     @property
     def colour_only(self) -> bool:
-        """Whether the sensor measures no depth. Tracking is then degraded, and on the average head if no actor is given."""
+        """Whether the sensor measures no depth.
+
+        Tracking is then less accurate. It uses the average head if no actor is given.
+        """
         return self.sensor is not None and self.sensor.colour_only
 
     @property
     def guide(self) -> GuidedCapture | None:
-        """The neutral scan's coverage; None before it, and where there is no depth."""
+        """The neutral scan's coverage. It is None before the scan and for sensors without depth."""
         return None if self._scan is None else self._scan.guide
 
     @property
     def guidance(self) -> Guidance | None:
-        """What to tell the person, and what the finished scan lacks; None before the first frame."""
+        """The advice for the person and the gaps of the finished scan. It is None before the first frame."""
         return None if self._scan is None else self._scan.guidance
 
     @property
@@ -95,12 +105,12 @@ class LiveRun(Closing):
 
     @property
     def progress(self) -> tuple[str, float]:
-        """Step of building the head, and the share of it that is done."""
+        """The current step of building the head, and the share of it that is done."""
         return ("", 0.0) if self._scan is None else self._scan.progress
 
     @property
     def message(self) -> str:
-        """What is wrong with the sensor while scanning, or ""."""
+        """A description of the sensor's problem during the scan. It is empty if there is none."""
         return self._trouble if self._scan is None else self._scan.message or self._trouble
 
     @property
@@ -116,15 +126,21 @@ class LiveRun(Closing):
             self._parameters = parameters
 
     def finish_scan(self) -> None:
-        """End the neutral scan, and build the head from the frames so far, or from the first usable one."""
+        """End the neutral scan and build the head.
+
+        The head is built from the frames so far. If none is usable, it is built from the first usable frame that follows.
+        """
         scan = self._scan
         if scan is not None:
             scan.finish()
 
     def relearn(self) -> None:
-        """Scan the neutral face again, and then track with the new head. During a scan, this does nothing.
+        """Scan the neutral face again, and then track with the new head. The call does nothing during a scan.
 
-        At the end of a recording, it raises :class:`TrackingError`, and changes nothing.
+        Raises
+        ------
+        TrackingError
+            The recording is over. Nothing is changed.
         """
         session = self.session
         if self.state != TRACKING or session is None:
@@ -137,14 +153,25 @@ class LiveRun(Closing):
         self._start(self._scan_and_track)
 
     def on_result(self, callback: Callable[[LiveResult], None]) -> Callable[[], None]:
-        """Call ``callback`` with every result, also after relearning. Returns a function that stops this."""
+        """Call a function with every result. The calls go on after :meth:`relearn`.
+
+        Parameters
+        ----------
+        callback : callable
+            A function of one :class:`LiveResult`.
+
+        Returns
+        -------
+        callable
+            A function without arguments that removes the callback.
+        """
         with self._lock:
             self._callbacks.append(callback)
             if self.session is not None:
                 self.session.add_callback(callback)
 
         def remove() -> None:
-            """Stop calling it; a second time does nothing."""
+            """Stop the calls. Calling this again does nothing."""
             with self._lock:
                 if callback in self._callbacks:
                     self._callbacks.remove(callback)
@@ -154,7 +181,23 @@ class LiveRun(Closing):
         return remove
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to ``timeout`` s until it tracks, and return whether it does. Raises the error of a failed run."""
+        """Wait until the run tracks.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest time to wait, s. By default, there is no limit.
+
+        Returns
+        -------
+        bool
+            Whether the run tracks.
+
+        Raises
+        ------
+        AdaptiveFaceError
+            The run has failed. The error is the run's own.
+        """
         self._worker.join(timeout)
         if self.error is not None:
             raise self.error
@@ -186,12 +229,12 @@ class LiveRun(Closing):
         return packaged(error, f"{self.name}: the run failed", AdaptiveFaceError)
 
     def _ended(self) -> None:
-        if self._closed:  # close() may not have waited for what was going on here
+        if self._closed:  # close() may not have waited for this thread
             self._release()
 
     def _fail(self, error: AdaptiveFaceError) -> None:
         with self._lock:
-            if not self._closed:  # else it is closed in the midst of something, and nobody asks
+            if not self._closed:  # after close(), nobody needs the error
                 self.error, self.state = error, FAILED
 
     def _enter(self, state: str) -> None:

@@ -1,9 +1,9 @@
 """Skin as in photographs: pores, freckles, moles, beard, make-up and gloss, evaluated at the points that a camera sees.
 
-The colour of skin is that of what lies below, dimmed by two pigments, melanin and the blood's haemoglobin (Tsumura et al.
-1999, "Independent-component analysis of skin color image"); their amounts are random fields on the neutral face. Gloss comes
-from the oil on the surface, whose relief are the pores: it depends on where the camera and the lamp are. All of it is linear
-light and becomes sRGB in the end.
+The colour of skin is the colour of the tissue below it, dimmed by two pigments: melanin and the blood's haemoglobin (Tsumura
+et al. 1999, "Independent-component analysis of skin color image"). The amounts of both are random fields on the neutral face.
+Gloss comes from the oil on the surface, and the pores give the surface its relief. Gloss depends on the places of the camera
+and the lamp. All colours are linear and are converted to sRGB at the end.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from .lamp import Lamp
 from .makeup import BROWS, HAIR, LASHES, LIPS
 from .pattern import noise, spots
 
-#: What a unit of melanin and of haemoglobin leave of linear R, G, B, as exponents.
+#: Absorption of linear R, G and B by a unit of melanin and of haemoglobin, as exponents.
 _MELANIN, _BLOOD = np.array([0.34, 0.62, 0.95]), np.array([0.10, 0.80, 0.62])
-#: Columns of the fields that a :class:`PhotographicSkin` adds to the makeup's: place on the neutral, and regions in [0, 1].
+#: Columns of the fields that a :class:`PhotographicSkin` adds: the place on the neutral face, and regions in [0, 1].
 PLACE, BEARD, OIL, CHEEKS, LIDS = slice(0, 3), 3, 4, 5, 6
 _FIELDS = 7
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Amounts of everything in one kind of skin; colours linear."""
+    """The amounts of all components in one kind of skin. Colours are linear."""
 
     melanin: tuple[float, float]
     mottled: float = 1.0
@@ -51,7 +51,15 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Surface:
-    """P points that a camera sees: normals and towards_camera (P, 3) unit vectors in its frame; footprint (P,) mm a pixel."""
+    """P points that a camera sees.
+
+    Attributes
+    ----------
+    normals, towards_camera : (P, 3) arrays
+        Unit vectors in the camera frame.
+    footprint : (P,) array
+        Size of a pixel on the skin, mm.
+    """
 
     normals: np.ndarray
     towards_camera: np.ndarray
@@ -59,7 +67,10 @@ class Surface:
 
 
 class PhotographicSkin:
-    """The skin of one performer. ``fields`` (D, 7): what is stored per vertex of the dense neutral skin (D, 3)."""
+    """The skin of one performer.
+
+    The attribute ``fields`` has shape (D, 7). It holds the values at the D vertices of the dense neutral skin.
+    """
 
     def __init__(self, kind: str, seed: int, points: np.ndarray, landmarks: np.ndarray) -> None:
         rng = np.random.default_rng([seed, 0x5C17])
@@ -75,7 +86,23 @@ class PhotographicSkin:
         self._seed = int(rng.integers(1 << 30))
 
     def albedo(self, makeup: np.ndarray, fields: np.ndarray, footprint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(P, 3) linear colour and (P,) gloss at points with makeup fields (P, 7) and own fields (P, 7)."""
+        """Compute colour and gloss at P points.
+
+        Parameters
+        ----------
+        makeup : (P, 7) array
+            Fields of the makeup.
+        fields : (P, 7) array
+            Fields of this skin.
+        footprint : (P,) array
+            Size of a pixel on the skin, mm.
+
+        Returns
+        -------
+        colour : (P, 3) array
+            Linear colour.
+        gloss : (P,) array
+        """
         k, at, seed = self.kind, fields[:, PLACE], self._seed
         lips, on_head = _edge(makeup[:, LIPS] - 0.2, 1.0), _edge(makeup[:, HAIR], 4.0)
         skin = 1.0 - lips

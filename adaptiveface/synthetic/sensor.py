@@ -26,17 +26,27 @@ from .scene import Scene
 from .script import HeadMotion, performance
 from .take import Take
 
-#: A feature that lies this far behind the visible surface cannot be seen, mm. Lips roll inwards: they are given more.
+#: A feature that lies this far behind the visible surface cannot be seen, mm. The limit is larger for lips, which roll inwards.
 OCCLUSION = np.where(FEATURE_REGIONS == "lips", 10.0, 5.0)
 
 
 @renamed
 @dataclass(frozen=True)
 class GroundTruth:
-    """What is true in one frame: V vertices, E expression units.
+    """The exact values behind one frame, for V vertices and E expression units.
 
-    vertices (V, 3) mm, camera frame, exactly on the rendered skin; head_pose (4, 4) head to camera; activations (E,);
-    features (40, 2) exact pixels; performance: -1 neutral scan, 0 first performance, 1 its repeat, ...
+    Attributes
+    ----------
+    vertices : (V, 3) array
+        Vertices in the camera frame, mm. They lie exactly on the rendered skin.
+    head_pose : (4, 4) array
+        Transform from the head frame to the camera frame.
+    activations : (E,) array
+        Activation of every expression unit.
+    features : (40, 2) array
+        Exact places of the features, px.
+    performance : int
+        -1 in the neutral scan, 0 in the first performance, 1 in its first repeat, and so on.
     """
 
     vertices: np.ndarray
@@ -50,31 +60,35 @@ class SyntheticSensor:
     """A repeatable recording of a :class:`Performer`.
 
     It begins with ``neutral_frames`` of the neutral face while the head turns. The same ``frames`` of expressions follow
-    ``repeats`` times, each time with head motion and noise of their own. A frame is a function of seed and index, so that
-    frames can be read in any order and as often as wanted.
+    ``repeats`` times, and each repeat has its own head motion and noise. A frame depends only on the seed and its index.
+    Frames can therefore be read in any order and any number of times.
 
     Parameters
     ----------
     seed : int
-        Of the performer, the script and the noise.
+        Seed of the performer, the script and the noise.
     noise : str
-        "structured-light", "truedepth" or "none".
+        Kind of depth noise: "structured-light", "truedepth" or "none".
     neutral_frames, frames, repeats : int
-        See above.
-    take : optional
-        A real take that is performed once in place of the script; ``frames`` and ``repeats`` are then the take's.
+        Lengths of the parts, in frames, and number of performances, as described above.
+    width, height : int
+        Size of the images, px.
+    model : FaceModel, optional
+        The face model from which the performer is drawn.
+    take : Take, optional
+        A real take that is performed once instead of the script. It then determines ``frames`` and ``repeats``.
     feature_noise : float
         Standard deviation of the 2D features, pixels per coordinate.
     colour : bool
-        False leaves the pictures out, which is faster.
+        Whether frames have a colour image. Reading is faster without one.
     look : Look, optional
-        What the pictures show: skin, light and camera. The default is the simple skin in steady light.
+        The skin, light and camera of the pictures. The default is the simple skin in steady light.
     focal : float
-        Focal length, pixels at a width of 640.
+        Focal length in pixels for an image that is 640 pixels wide.
     distance : float
-        Of the head, mm.
+        Distance of the head from the camera, mm.
     performer : Performer, optional
-        Replaces the one that ``seed`` and ``model`` draw.
+        A performer to use instead of the one that is drawn with ``seed`` and ``model``.
 
     Attributes
     ----------
@@ -84,13 +98,13 @@ class SyntheticSensor:
     depth_scale : float
         Units per metre to which the depth is rounded.
     performer : Performer
-    script : (frames, E)
+    script : (frames, E) array
         Activation of every expression unit.
 
     Raises
     ------
     ParameterError
-        A value makes no sense.
+        ``noise`` is unknown, or a number is negative.
     """
 
     fps = 30.0
@@ -149,7 +163,22 @@ class SyntheticSensor:
         return (self.read(index) for index in range(len(self)))
 
     def ground_truth(self, index: int) -> GroundTruth:
-        """The exact answer for frame ``index``; raises IndexError outside the recording."""
+        """Return the exact values behind one frame.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame in the recording.
+
+        Returns
+        -------
+        GroundTruth
+
+        Raises
+        ------
+        IndexError
+            The recording has no such frame.
+        """
         activations, part = self._activations(index)
         rigid = self._motion.pose(index)
         vertices = transform_points(rigid, self._skin(index)[: len(self.performer.neutral)])
@@ -157,7 +186,23 @@ class SyntheticSensor:
         return GroundTruth(vertices, rigid, activations, features, part)
 
     def read(self, index: int) -> RgbdFrame:
-        """Frame ``index`` with depth, features and (unless ``colour=False``) colour; raises IndexError outside."""
+        """Render one frame.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame in the recording.
+
+        Returns
+        -------
+        RgbdFrame
+            The frame with depth and features. It has a colour image unless the sensor was made with ``colour=False``.
+
+        Raises
+        ------
+        IndexError
+            The recording has no such frame.
+        """
         truth = self.ground_truth(index)
         vertices = self._vertices(index)
         window = covering_window(self.camera, vertices, margin=2)
@@ -175,12 +220,12 @@ class SyntheticSensor:
         return RgbdFrame(depth, self.camera, colour, index, index / self.fps, features)
 
     def _vertices(self, index: int) -> np.ndarray:
-        """(n, 3) mm: the whole scene in the camera frame."""
+        """Return the (n, 3) vertices of the whole scene in the camera frame, mm."""
         gaze = self._gaze(self._activations(index)[0])
         return self._scene.vertices(self._skin(index), self._motion.pose(index), gaze)
 
     def _motion_of(self, index: int, vertices: np.ndarray) -> np.ndarray:
-        """(n, 3) mm by which the scene moves from one frame to the next, where the camera blurs it; else zeros."""
+        """Return the (n, 3) motion of the scene since the last frame, mm. It is zero if the camera does not blur motion."""
         part = self._activations(index)[1]
         if self.look.camera == "plain" or index == 0 or self._activations(index - 1)[1] != part:
             return np.zeros_like(vertices)
@@ -202,7 +247,10 @@ class SyntheticSensor:
         return surface_points(vertices, model.feature_triangles, model.feature_weights)
 
     def _gaze(self, activations: np.ndarray) -> np.ndarray:
-        """(2, 3, 3) rotations of the eyeballs, the subject's left one first; 25 degrees at full activation."""
+        """Return the (2, 3, 3) rotations of the eyeballs, the subject's left one first.
+
+        An eyeball turns by 25 degrees at full activation.
+        """
         level = dict(zip(self.performer.expression_names, activations, strict=True))
         out = []
         for side, away in (("Left", 1.0), ("Right", -1.0)):
@@ -212,7 +260,11 @@ class SyntheticSensor:
         return np.array(out)
 
     def _observe(self, truth: GroundTruth, hits: Hits, index: int) -> Features2D:
-        """White noise (80 % of the variance) and a slow drift; hidden features are NaN, grazing ones less certain."""
+        """Observe the features with errors.
+
+        White noise makes up 80 % of the error's variance, and a slow drift makes up the rest. Hidden features are NaN.
+        Features that are partly hidden have a lower confidence.
+        """
         white = np.random.default_rng([self.seed, index, 3]).standard_normal((40, 2))
         error = np.sqrt(0.8) * white + np.sqrt(0.2) * self._feature_drift(index)
         pixels = truth.features + self.feature_noise * error
@@ -228,6 +280,6 @@ class SyntheticSensor:
 
 
 def _drift(rng: np.random.Generator):
-    """A slowly varying (40, 2) error of unit variance as a function of the frame number."""
+    """Return a function of the frame number that gives a slowly varying (40, 2) error of unit variance."""
     period, phase = rng.uniform(25, 90, (3, 40, 2)), rng.uniform(0, 2 * np.pi, (3, 40, 2))
     return lambda frame: np.sqrt(2 / 3) * np.sin(2 * np.pi * frame / period + phase).sum(axis=0)
