@@ -32,7 +32,22 @@ _FIXED = ("recording", "source", "status", "reason", "folder")
 
 
 def write_index(folder: Path, rows: Sequence[dict], jobs: int) -> Path:
-    """Write ``folder/index.html`` for the records ``rows`` of a batch of ``jobs`` jobs; returns its path."""
+    """Write ``index.html`` for a batch.
+
+    Parameters
+    ----------
+    folder : Path
+        The batch's output folder.
+    rows : sequence of dict
+        The records of jobs.
+    jobs : int
+        Number of jobs in the batch.
+
+    Returns
+    -------
+    Path
+        Path of the page.
+    """
     done = [row for row in rows if row["status"] == "done"]
     failed = [row for row in rows if row["status"] != "done"]
     columns = columns_of(rows)

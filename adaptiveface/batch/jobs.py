@@ -29,17 +29,17 @@ class Job:
     Attributes
     ----------
     name : str
-        The job's folder below the batch's output, unique in the batch.
+        Path of the job's folder below the batch's output. It is unique in the batch.
     source : str
-        What :func:`adaptiveface.open_source` opens.
+        The source that :func:`adaptiveface.open_source` opens.
     settings : tuple of (str, str)
-        The swept values, ``("laplacian.w2", "0.5")``. They are columns of the tables.
+        The swept values, such as ``("laplacian.w2", "0.5")``. They are columns of the tables.
     parameters : str
-        JSON of every parameter, the swept ones included.
+        JSON text of all parameters, including the swept ones.
     actor : str or None
-        The ``actor.npz`` to track with; None captures the neutral from the recording.
+        The ``actor.npz`` to track with. With None, the neutral is captured from the recording.
     neutral_frames : int
-        How many leading frames show the neutral, where it is captured.
+        Number of leading frames that show the neutral, if it is captured.
     formats : tuple of str
         Formats of ``adaptiveface export`` to write for the job.
     report : bool
@@ -57,20 +57,25 @@ class Job:
 
     @property
     def fingerprint(self) -> str:
-        """Tells whether a finished job is the one that is asked for: it changes with every option and with the version."""
+        """A value that identifies a finished job. It changes with every option and with the version."""
         content = json.dumps([asdict(self), __version__], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
 def find_sources(path: str | Path) -> list[str]:
-    """The sources below a folder, or those that a text file lists.
+    """Find the sources below a folder, or read them from a text file.
 
     Parameters
     ----------
     path : path-like
-        A folder that holds recordings (folders with ``intrinsic.json``), ``.r3d`` files and videos, at any depth; one
-        recording; or a text file with one source per line. Lines that begin with ``#`` are comments; relative paths are
-        relative to the file; ``synthetic:SEED`` is a source too.
+        A folder, one recording, or a text file. A folder may hold recordings (folders with ``intrinsic.json``), ``.r3d``
+        files and videos at any depth. A text file has one source per line. Its lines that begin with ``#`` are comments.
+        Relative paths in it are relative to the file. ``synthetic:SEED`` is also a source.
+
+    Returns
+    -------
+    list of str
+        The sources.
 
     Raises
     ------
@@ -122,7 +127,12 @@ def _is_source(path: Path) -> bool:
 def parse_sweep(texts: Sequence[str]) -> dict[str, list[str]]:
     """``["laplacian.w2=0.5,1.5"]`` -> ``{"laplacian.w2": ["0.5", "1.5"]}``.
 
-    Raises :class:`ParameterError` for a text of another form; names and values are judged by :func:`expand`.
+    Names and values are checked later, by :func:`expand`.
+
+    Raises
+    ------
+    ParameterError
+        A text has another form.
     """
     values = {}
     for text in texts:
@@ -139,10 +149,23 @@ def expand(
     sweep: dict[str, list[str]] | None = None,
     **options,
 ) -> list[Job]:
-    """One job for each source and each combination of swept values.
+    """Make one job for each source and each combination of swept values.
 
-    ``options`` are fields of :class:`Job`. Raises :class:`ParameterError` for a parameter that does not exist, a value
-    outside its range, or more than ``MAX_JOBS`` jobs.
+    Parameters
+    ----------
+    sources : sequence of str
+        The sources to track.
+    parameters : Parameters, optional
+        The parameters that are not swept.
+    sweep : dict, optional
+        The values of each swept parameter, as :func:`parse_sweep` returns them.
+    **options
+        Other fields of :class:`Job`.
+
+    Raises
+    ------
+    ParameterError
+        A parameter does not exist, a value is outside its range, or there are more than ``MAX_JOBS`` jobs.
     """
     base, sweep = parameters or Parameters(), sweep or {}
     combinations = [tuple(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values())]
@@ -158,7 +181,10 @@ def expand(
 
 
 def _names(sources: Sequence[str]) -> list[str]:
-    """A folder name for each source: its last part, with a number where two would be equal on any file system."""
+    """Return a folder name for each source.
+
+    The name is the last part of the source. A number is added if two names would be equal on any file system.
+    """
     names, taken = [], set()
     for source in sources:
         text = source if source.startswith("synthetic") else Path(source).stem or Path(source).resolve().name

@@ -11,14 +11,14 @@ from ..files import replacing
 
 
 def columns_of(rows: Sequence[dict]) -> list[str]:
-    """Every key of the rows, in the order in which they first appear."""
+    """Return all keys of the rows in the order in which they first appear."""
     return list(dict.fromkeys(key for row in rows for key in row if key != "fingerprint"))
 
 
 def write_tables(folder: Path, rows: Sequence[dict]) -> list[Path]:
     """Write ``recordings`` and ``frames`` in ``folder`` and return their paths.
 
-    ``rows`` are the records of jobs; the frames are those of ``frames.csv`` in the folders of the finished ones.
+    ``rows`` are the records of jobs. The frames come from ``frames.csv`` in the folders of the finished jobs.
     """
     recordings, frames = folder / "recordings.csv", folder / "frames.csv"
     with replacing(recordings) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
@@ -31,7 +31,7 @@ def write_tables(folder: Path, rows: Sequence[dict]) -> list[Path]:
 
 
 def _concatenate(path: Path, parts: Sequence[Path]) -> None:
-    """One CSV of many that may differ in their columns; a value that a part lacks is empty."""
+    """Join several CSV files, which may have different columns, into one. A missing value is left empty."""
     headers = []
     for part in parts:
         with open(part, newline="", encoding="utf-8") as stream:

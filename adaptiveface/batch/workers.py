@@ -18,7 +18,7 @@ Item = TypeVar("Item")
 
 
 class WorkerLost(AdaptiveFaceError):
-    """The process that worked on an item ended without an answer: it was killed, or it crashed."""
+    """The process that worked on an item was killed or crashed, and gave no answer."""
 
 
 def completed(
@@ -43,8 +43,8 @@ def completed(
     Yields
     ------
     item, answer
-        ``answer`` is what the call returned, or the exception that it raised (:class:`WorkerLost` where its process
-        ended without an answer).
+        ``answer`` is the result of the call, or the exception that it raised. It is a :class:`WorkerLost` if the process
+        ended without an answer.
     """
     if client is not None:
         yield from _on_cluster(function, items, client, shared)
@@ -141,7 +141,7 @@ def _end_with_parent() -> None:
 
 
 def dask_client(address: str | None = None, workers: int = 2):
-    """Connect to a Dask cluster, or start one; end it with ``client.close()``.
+    """Connect to a Dask cluster, or start one. It ends with ``client.close()``.
 
     Parameters
     ----------

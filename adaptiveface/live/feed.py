@@ -23,17 +23,17 @@ CLOSE_SECONDS = 0.9
 
 
 class FeatureFeed(Closing):
-    """The frames of a sensor with 2D features, which a separate thread finds. It is a context manager; the sensor stays open.
+    """Adds 2D features to the frames of a sensor in a separate thread. It is a context manager. The sensor stays open.
 
-    Frames that bring features pass unchanged, unless a ``detector`` is given or ``always`` is set: then every colour image
-    is searched. Without a ``detector``, one is made for the first frame that needs it, and closed at the end. A
+    Frames that already have features pass unchanged. If a ``detector`` is given or ``always`` is set, every colour image is
+    searched instead. Without a ``detector``, one is made for the first frame that needs it, and it is closed at the end. A
     recording waits until its frames are read.
 
     Attributes
     ----------
     dropped : int
-        Frames with features that a newer one replaced before they were read. The sensor counts the frames for which the
-        detector was too slow (``superseded``).
+        Number of frames with features that a newer frame replaced before they were read. The sensor counts the frames for
+        which the detector was too slow (``superseded``).
     running : bool
         False once no further frame will come.
     """
@@ -50,19 +50,36 @@ class FeatureFeed(Closing):
 
     @property
     def detect_ms(self) -> float:
-        """Median time of the last 30 detections, ms; 0 where none was needed."""
+        """The median time of the last 30 detections, ms. It is 0 if no detection was needed."""
         return float(np.median(list(self._detect_ms))) if self._detect_ms else 0.0
 
     def read(self, timeout: float = 1.0) -> LiveFrame:
-        """The newest unread frame with its features; waits up to ``timeout`` s for one.
+        """Return the newest unread frame with its features.
 
-        Raises :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
-        :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor or the detector failed with.
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait for a frame, s.
+
+        Returns
+        -------
+        LiveFrame
+
+        Raises
+        ------
+        SensorDisconnectedError
+            The sensor is disconnected. This is raised at once, and then whenever ``timeout`` passes without a sensor.
+        SensorTimeoutError
+            No frame came in time.
+        EndOfRecording
+            The recording is over.
+        AdaptiveFaceError
+            The sensor or the detector failed.
         """
         return self._frames.read(timeout, self._fresh)
 
     def spare(self, every: int) -> None:
-        """Search every ``every``-th of the pictures to come (:meth:`.Upright.spare`); any thread may say so."""
+        """Search only every ``every``-th picture from now on, as :meth:`.Upright.spare` does. Any thread may call this."""
         if self._upright is not None:
             self._upright.spare(every)
 
@@ -72,7 +89,7 @@ class FeatureFeed(Closing):
         self._worker.join(CLOSE_SECONDS)
 
     def _fresh(self, frame: LiveFrame) -> bool:
-        """Whether a frame may be handed out; counts it as dropped where it is too old."""
+        """Return whether a frame may be handed out. A frame that is too old is counted as dropped."""
         late = self.sensor.live and frame.age > self.sensor.max_age
         self.dropped += late
         return not late
@@ -108,7 +125,7 @@ class FeatureFeed(Closing):
             self.dropped += replaced
 
     def _with_features(self, frame: LiveFrame) -> LiveFrame:
-        """``frame`` with features. It is turned upright if the detector finds a turned face."""
+        """Return ``frame`` with features. It is turned upright if the detector finds a turned face."""
         given = frame.features is not None or self.sensor.has_features
         if frame.colour is None or (given and not self._always):
             return frame

@@ -64,7 +64,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 class _Run:
-    """Frames until Ctrl-C or ``seconds``. What goes wrong ends it, and is raised once the take is kept."""
+    """Receives frames until Ctrl-C or for ``seconds``. An error ends it and is raised once the take is saved."""
 
     def __init__(self, receiver: LiveLinkReceiver, sender, seconds: int | None) -> None:
         self._receiver, self._sender, self._seconds = receiver, sender, seconds
@@ -74,14 +74,14 @@ class _Run:
 
     @property
     def summary(self) -> str:
-        """What came."""
+        """Summarise the frames that were received."""
         text = f"{self.count} frames of '{self._receiver.subject}', {self.lost} without a face"
         text += f", {self._receiver.late} late" if self._receiver.late else ""
         others = ", ".join(sorted(self._receiver.others))
         return text + (f"; other phones were left out: {others}" if others else "")
 
     def until_the_end(self, output: Path | None, ctrl_c: CtrlC) -> None:
-        """Receive; ``output``: where the take is written as it comes."""
+        """Receive until the end. The take is written to ``output`` as it arrives."""
         with open(output, "w", encoding="utf-8", newline="\n") if output else nullcontext() as stream:
             if stream:
                 stream.write(header_line())
@@ -117,5 +117,5 @@ class _Run:
 
 
 def face_state(frame: LiveLinkFrame) -> FaceState:
-    """What is sent on of a phone's frame."""
+    """Return the part of a phone's frame that is sent on."""
     return FaceState(frame.time, frame.tracked, np.clip(frame.curves, 0, 1), rotations(frame.head), eyes=frame.eyes)

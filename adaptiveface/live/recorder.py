@@ -16,9 +16,15 @@ from ..sensors.recording import RecordingWriter
 class LiveRecorder:
     """Writes every frame of ``sensor`` from now on to the new ``folder``, until :meth:`close`.
 
-    Frames for which the disk is too slow are counted (``refused``). An error (a full disk, another image size) stops only the
-    recording. ``error`` holds it, and :meth:`close` raises it. What was written until then stays.
-    Raises :class:`AdaptiveFaceError` for a folder that cannot be used, :class:`SensorError` for a sensor without depth.
+    Frames for which the disk is too slow are counted in ``refused``. An error, such as a full disk or another image size, stops
+    only the recording. The attribute ``error`` holds it, and :meth:`close` raises it. The frames that were written are kept.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        The folder cannot be used.
+    SensorError
+        The sensor measures no depth.
     """
 
     def __init__(self, sensor: LiveSensor, folder: Path) -> None:
@@ -33,7 +39,7 @@ class LiveRecorder:
 
     @property
     def frames(self) -> int:
-        """Frames on disk so far."""
+        """The number of frames on disk so far."""
         return self._recorder.frames if self._recorder else 0
 
     def _write(self, frame: LiveFrame) -> None:
@@ -50,7 +56,7 @@ class LiveRecorder:
                 self.error = error if isinstance(error, AdaptiveFaceError) else FileFormatError(str(error))
 
     def close(self) -> RecordingSummary:
-        """Write what is queued, and raise ``error`` if there is one. Calling it again only returns the summary."""
+        """Write the queued frames, and raise ``error`` if there is one. Calling this again only returns the summary."""
         self.sensor.remove_listener(self._write)
         with self._lock:
             first, self._closed = not self._closed, True

@@ -29,7 +29,7 @@ MOST_FAILURES = 30
 
 @dataclass(frozen=True)
 class LiveResult:
-    """A tracked frame. ``index`` counts the session's results. ``latency_ms`` is the time from its arrival to its mesh."""
+    """A tracked frame. ``index`` counts the session's results. ``latency_ms`` is the time from arrival to mesh."""
 
     index: int
     frame: LiveFrame
@@ -43,10 +43,10 @@ OnResult = Callable[[LiveResult], None]
 class LiveSession:
     """Tracks the frames of ``feed`` in a separate thread. It is a context manager; feed and sensor stay open.
 
-    The functions ``on_result`` are called with every :class:`LiveResult`, on the tracker's thread. One that raises is not
-    called again. The next :meth:`latest` or :meth:`close` raises its error once, and tracking goes on. If the sensor is
-    disconnected, :attr:`statistics` says so, and the session goes on when it is back. ``running`` is False once no further
-    result will come; ``ended`` is True if that is because the recording is over.
+    The functions ``on_result`` are called with every :class:`LiveResult`, on the tracker's thread. A function that raises an
+    error is not called again. The next :meth:`latest` or :meth:`close` raises this error once, and tracking goes on. If the
+    sensor is disconnected, :attr:`statistics` reports this, and the session goes on when the sensor is back. ``running`` is
+    False once no further result will come. ``ended`` is True if the recording is over.
     """
 
     def __init__(
@@ -69,9 +69,24 @@ class LiveSession:
 
     # ---- for readers, on any thread --------------------------------------------------------------------------------
     def latest(self, after: int = -1, timeout: float = 0.0) -> LiveResult | None:
-        """The newest result whose index is larger than ``after``, or None after waiting ``timeout`` s.
+        """Return the newest result, and wait for it if necessary.
 
-        Raises what a thread of the session failed with, as an error of the package.
+        Parameters
+        ----------
+        after : int
+            The index of the result must be larger than this.
+        timeout : float
+            Longest time to wait, s.
+
+        Returns
+        -------
+        LiveResult or None
+            The result. It is None if none came in time.
+
+        Raises
+        ------
+        AdaptiveFaceError
+            A thread of the session or a callback failed.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._news(after) or not self.running, timeout)
@@ -85,16 +100,19 @@ class LiveSession:
 
     @property
     def parameters(self) -> Parameters:
-        """The parameters in use, or to be used from the next frame on."""
+        """The parameters of the next frame."""
         return self._parameters
 
     def set_parameters(self, parameters: Parameters) -> None:
-        """Track with other parameters from the next frame on, without losing the head or what was learned."""
+        """Track with other parameters from the next frame on. The head and the learned shapes are kept."""
         with self._changed:
             self._parameters = parameters
 
     def freeze(self, on: bool) -> None:
-        """Stop learning (or learn again), whatever the parameters say; what was learned stays in use."""
+        """Stop learning, or learn again with ``on=False``.
+
+        While learning is stopped, the parameters cannot turn it on. The learned shapes stay in use.
+        """
         with self._changed:
             self._frozen = bool(on)
 
@@ -104,7 +122,7 @@ class LiveSession:
         return self._frozen
 
     def reset_correctives(self) -> None:
-        """Forget the correctives and the personal blendshapes before the next frame; the head is not lost."""
+        """Forget the correctives and the personal blendshapes before the next frame. The head is kept."""
         with self._changed:
             self._forget_learned = True
 
@@ -120,21 +138,30 @@ class LiveSession:
 
     @property
     def model(self) -> AdaptiveModel:
-        """The adaptive model, to be read only: its arrays are replaced, never written to, while tracking goes on."""
+        """The adaptive model. Do not change it. Tracking replaces its arrays and never writes to them."""
         return self._tracker.model
 
     @property
     def expressions(self) -> np.ndarray | None:
-        """(A, N, 3) the expressions as they are known now, mm; None while they are those of the actor. To be read only."""
+        """The (A, N, 3) expressions that were learned so far, mm. Do not change them.
+
+        The value is None as long as the expressions are those of the actor.
+        """
         return self._tracker.expressions
 
     @property
     def statistics(self) -> LiveStatistics:
-        """Rate, latency, lost frames and the current message."""
+        """The rate, the latency, the lost frames and the current message."""
         return self._meter.statistics()
 
     def close(self) -> None:
-        """Stop tracking, within a second. Calling it again does nothing. Raises the error that was not raised yet, if any."""
+        """Stop tracking within a second. Calling this again does nothing.
+
+        Raises
+        ------
+        AdaptiveFaceError
+            The session had an error that was not raised yet.
+        """
         self._results.close()
         if self._worker.join(CLOSE_SECONDS):
             with self._changed:
@@ -159,7 +186,7 @@ class LiveSession:
             raise self._errors.pop(0)
 
     def personal_actor(self) -> Actor:
-        """The actor with the expressions as they are known now, to be saved."""
+        """Return the actor with the expressions that were learned so far. It can be saved."""
         return self._tracker.personal_actor()
 
     # ---- the tracker's thread --------------------------------------------------------------------------------------
@@ -179,7 +206,7 @@ class LiveSession:
             self._changed.notify_all()
 
     def _step(self) -> bool:
-        """One frame; False when there will be no other."""
+        """Process one frame. Return False if no other frame will come."""
         try:
             frame = self.feed.read(POLL_SECONDS)
         except EndOfRecording as error:

@@ -42,21 +42,34 @@ _SIGNS = np.array([-1.0, 1.0, -1.0])
 
 
 def angles(rotations: np.ndarray) -> np.ndarray:
-    """(..., 3) yaw, pitch and roll, rad, of rotations (..., 3, 3) of the face's axes (x left, y up, z out)."""
+    """Return the (..., 3) yaw, pitch and roll of rotations, rad.
+
+    ``rotations`` (..., 3, 3) rotate the face's axes: x to the left, y up, z out of the face.
+    """
     rotations = np.asarray(rotations, float)
     flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler("YXZ")
     return (_SIGNS * flat).reshape(*rotations.shape[:-2], 3)
 
 
 def rotations(yaw_pitch_roll: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotations for angles (..., 3), rad. This is the inverse of :func:`angles`."""
+    """Return the (..., 3, 3) rotations for angles (..., 3), rad. This is the inverse of :func:`angles`."""
     turns = np.asarray(yaw_pitch_roll, float)
     flat = Rotation.from_euler("YXZ", (_SIGNS * turns).reshape(-1, 3)).as_matrix()
     return flat.reshape(*turns.shape[:-1], 3, 3)
 
 
 def eye_angles(curves: np.ndarray) -> np.ndarray:
-    """(F, 6) yaw, pitch and roll of the left eye and then of the right eye, rad, from the eyeLook curves among (F, 52)."""
+    """Compute the angles of the eyes from the eyeLook curves.
+
+    Parameters
+    ----------
+    curves : (F, 52) array
+
+    Returns
+    -------
+    (F, 6) array
+        Yaw, pitch and roll of the left eye and then of the right eye, rad.
+    """
     level = dict(zip(ARKIT_NAMES, np.asarray(curves, float).T, strict=True))
     out = []
     for side, away in (("Left", -1.0), ("Right", 1.0)):
@@ -67,7 +80,18 @@ def eye_angles(curves: np.ndarray) -> np.ndarray:
 
 
 def eyes_of_gaze(gaze: np.ndarray) -> np.ndarray:
-    """(..., 6) yaw, pitch and roll of both eyes, rad, for gaze (..., 2, 2): yaw to the subject's left and pitch upwards."""
+    """Compute the angles of both eyes from the gaze.
+
+    Parameters
+    ----------
+    gaze : (..., 2, 2) array
+        Yaw to the subject's left and pitch upwards of each eye.
+
+    Returns
+    -------
+    (..., 6) array
+        Yaw, pitch and roll of both eyes, rad.
+    """
     yaw, pitch = -np.moveaxis(np.asarray(gaze, float), -1, 0)
     return np.stack([yaw, pitch, EYE_ROLL * yaw * pitch], axis=-1).reshape(*yaw.shape[:-1], 6)
 

@@ -47,7 +47,20 @@ class LiveLinkFrame:
 
 
 def encode(frame: LiveLinkFrame, fps: int = 60) -> bytes:
-    """Encode a frame as a datagram. The time is written in whole and partial frames of 1 / ``fps`` s."""
+    """Encode a frame as a datagram.
+
+    Parameters
+    ----------
+    frame : LiveLinkFrame
+        The frame to encode.
+    fps : int
+        Frames per second. The time is written in whole and partial frames of 1 / ``fps`` s.
+
+    Returns
+    -------
+    bytes
+        The datagram.
+    """
     number = int(frame.time * fps)
     out = struct.pack(">B", VERSION)
     for text in (frame.device, frame.subject):
@@ -61,7 +74,22 @@ def encode(frame: LiveLinkFrame, fps: int = 60) -> bytes:
 
 
 def decode(data: bytes) -> LiveLinkFrame:
-    """Decode a datagram. Raises :class:`ValueError` with the reason if it is not one of Live Link Face."""
+    """Decode a datagram.
+
+    Parameters
+    ----------
+    data : bytes
+        The datagram.
+
+    Returns
+    -------
+    LiveLinkFrame
+
+    Raises
+    ------
+    ValueError
+        The datagram is not from Live Link Face. The message gives the reason.
+    """
     if len(data) > MAX_BYTES:
         raise ValueError(f"{len(data)} bytes are too many")
     try:

@@ -16,12 +16,18 @@ NAME = "livelink"
 
 
 def is_livelink(text: str) -> bool:
-    """Whether a sensor's name is ``livelink[:[HOST:]PORT]``."""
+    """Return whether a sensor's name has the form ``livelink[:[HOST:]PORT]``."""
     return text.partition(":")[0] == NAME
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of ``livelink[:[HOST:]PORT]``. Raises :class:`ParameterError` for an invalid port."""
+    """Return the host and port of ``livelink[:[HOST:]PORT]``.
+
+    Raises
+    ------
+    ParameterError
+        The port is invalid.
+    """
     host, _, port = text.removeprefix(NAME).removeprefix(":").rpartition(":")
     if port and not port.isdecimal() and not host:
         host, port = port, ""
@@ -40,7 +46,7 @@ class LiveLinkReceiver:
     bad : int
         Number of datagrams that are not from Live Link Face.
     reason : str
-        What was wrong with the last of them.
+        The reason why the last of them could not be read.
     others : set of str
         Names of other phones.
     late : int
@@ -71,7 +77,13 @@ class LiveLinkReceiver:
         self._socket.close()
 
     def frames(self, timeout: float) -> Iterator[LiveLinkFrame]:
-        """Yield the frames that have arrived, in order. Waits up to ``timeout`` s for the first; may yield none."""
+        """Yield the frames that have arrived, in order.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait for the first frame, s. If none arrives in time, none is yielded.
+        """
         self._socket.settimeout(timeout)
         with contextlib.suppress(TimeoutError, BlockingIOError, ConnectionResetError):
             while True:

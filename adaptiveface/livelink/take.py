@@ -28,11 +28,11 @@ class LiveLinkTake:
     timestamps : (F,) array
         Seconds since midnight.
     curves : (F, 52) array
-        Of ``ARKIT_NAMES``, about 0 to 1. iPhones also write values such as 1.003.
+        Values of the curves ``ARKIT_NAMES``, about 0 to 1. iPhones also write values such as 1.003.
     head : (F, 3) array
         Yaw, pitch and roll of the head, rad, with the signs of :mod:`~adaptiveface.livelink.convention`.
     eyes : (F, 6) array
-        The same of the left eye and then of the right eye.
+        Yaw, pitch and roll of the left eye and then of the right eye, rad.
     tracked : (F,) bool array
         Whether the row has values. Other rows repeat the last values.
     absent : tuple of str
@@ -64,18 +64,18 @@ def write_take(path: str | os.PathLike, take: LiveLinkTake) -> None:
 
 
 def header_line() -> str:
-    """The first line of a take."""
+    """Return the first line of a take."""
     return ",".join(HEADER) + "\n"
 
 
 def row_line(time: float, row: np.ndarray, tracked: bool = True) -> str:
-    """The line of a frame at ``time`` s since midnight, with values ``row`` (61,) in the order of the header."""
+    """Return the line of a frame at ``time`` s since midnight. ``row`` has the (61,) values in the order of the header."""
     values = f"{len(row)}," + ",".join(f"{value:.9g}" for value in row) if tracked else "0" + "," * len(row)
     return f"{timecode(time)},{values}\n"
 
 
 def is_take(path: str | os.PathLike) -> bool:
-    """Whether a path has the name of a CSV file. The file is not read."""
+    """Return whether a path has the name of a CSV file. The file is not read."""
     return os.fspath(path).lower().endswith(".csv")
 
 
@@ -133,7 +133,10 @@ def _columns(path, words: list[str]) -> dict[str, int]:
 
 
 def _row(words: list[str], columns: dict[str, int], decimal_comma: bool) -> np.ndarray | None:
-    """(61,) values in the order of the header; None for a frame without a face, whose row is empty or has the count 0."""
+    """Return the (61,) values in the order of the header.
+
+    The result is None for a frame without a face. Its row is empty or has the count 0.
+    """
     count = words[columns["BlendShapeCount"]].strip() if "BlendShapeCount" in columns else ""
     given = [word for name, k in columns.items() if name in _VALUES for word in words[k : k + 1] if word.strip()]
     if not given and (count == "0" or len(words) >= columns["*"]):

@@ -14,7 +14,7 @@ _DAY = 86_400.0
 
 
 def timecode(seconds: float) -> str:
-    """``HH:MM:SS:FF.mmm`` with frames of 1/60 s and thousandths of a frame."""
+    """Return ``HH:MM:SS:FF.mmm`` with frames of 1/60 s and thousandths of a frame."""
     thousandths = round(seconds * TIMECODE_FPS * 1000)
     frames, thousandth = divmod(thousandths, 1000)
     total, frame = divmod(frames, TIMECODE_FPS)
@@ -22,7 +22,18 @@ def timecode(seconds: float) -> str:
 
 
 def parse(text: str) -> tuple[float, float | None]:
-    """Whole seconds and frames of ``HH:MM:SS:FF.mmm``, or seconds and None of ``HH:MM:SS.mmm``. Raises ValueError."""
+    """Read a timecode.
+
+    Returns
+    -------
+    tuple
+        Whole seconds and frames of ``HH:MM:SS:FF.mmm``, or seconds and None of ``HH:MM:SS.mmm``.
+
+    Raises
+    ------
+    ValueError
+        The text has neither form.
+    """
     match = _FORM.fullmatch(text.strip())
     if match is None:
         raise ValueError(text)
@@ -32,7 +43,7 @@ def parse(text: str) -> tuple[float, float | None]:
 
 
 def to_seconds(parts: list[tuple[float, float | None]]) -> np.ndarray:
-    """(F,) seconds of timecodes from :func:`parse`. In a take that crosses midnight, they continue beyond 24 hours.
+    """Return the (F,) seconds of timecodes from :func:`parse`. In a take that crosses midnight, they continue beyond 24 hours.
 
     Timecodes do not contain the frame rate, which is assumed to be 60. If a take with 20 rows per second or more never counts
     that far, the rate is the next usual one above the largest frame number.

@@ -113,7 +113,7 @@ def _break_at_gaps(values: np.ndarray, tracked: np.ndarray) -> np.ndarray:
 
 
 def _top(values, default: float = 1.0) -> float:
-    """The upper end of an axis: the 99.8th percentile of the values and a margin."""
+    """Return the upper end of an axis. It is the 99.8th percentile of the values plus a margin."""
     finite = np.asarray(values)[np.isfinite(values)]
     return float(np.percentile(finite, 99.8)) * 1.15 + 1e-6 if finite.size else default
 
@@ -145,7 +145,7 @@ def stage_timings(result: Result) -> Markup:
 
 
 def coefficients(result: Result, limits: BlendshapeParameters, spans: Spans = ()) -> Markup:
-    """Every coefficient over time as one heat map over the range of the bounds."""
+    """Draw all coefficients over time as one heat map. Its colours cover the range of the bounds."""
     with matplotlib.rc_context(_STYLE):
         count = result.coefficients.shape[1]
         figure, (axis,) = _figure(0.17 * count + 1.1)
@@ -172,7 +172,10 @@ def coefficients(result: Result, limits: BlendshapeParameters, spans: Spans = ()
 
 
 def adaptation(result: Result, spans: Spans = ()) -> Markup:
-    """Figure 11: mean distance of v2 from the anchor space and from the adaptive space before the frame's update, mm."""
+    """Draw Figure 11: the distance of v2 from the anchor and adaptive spaces.
+
+    Distances are means in mm. They are measured before the frame's update.
+    """
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
         t = result.timestamps
@@ -186,7 +189,7 @@ def adaptation(result: Result, spans: Spans = ()) -> Markup:
 
 
 def held_out(result: Result, spans: Spans = ()) -> Markup:
-    """Error of the held-out landmarks over time, by region, % of the eyes' distance."""
+    """Draw the error of the held-out landmarks over time for each region, in % of the distance between the eyes."""
     assert result.held_out is not None  # the section is written only then
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.9)
@@ -202,7 +205,7 @@ def held_out(result: Result, spans: Spans = ()) -> Markup:
 
 
 def learning(result: Result, spans: Spans = ()) -> Markup:
-    """The state of each frame as a training sample, and the number of PCA updates so far."""
+    """Draw the state of each frame as a training sample, and the number of PCA updates so far."""
     with matplotlib.rc_context(_STYLE):
         figure, (states, updates) = _figure(2.9, rows=2, ratios=(1, 2.4))
         t, state = result.timestamps, np.asarray(result.sample_state)
@@ -256,7 +259,7 @@ def errors(evaluation, timestamps: np.ndarray, spans: Spans = ()) -> Markup:
 
 
 def coefficient_errors(known: KnownCoefficients) -> Markup:
-    """Root mean square error of every expression's coefficient, initial and re-solved side by side."""
+    """Draw the root mean square error of every expression's coefficient. Initial and re-solved values are side by side."""
     with matplotlib.rc_context(_STYLE):
         initial, resolved = (known.rms_by_expression(name) for name in (INITIAL, RESOLVED))
         order = np.argsort(-initial)
@@ -274,7 +277,7 @@ def coefficient_errors(known: KnownCoefficients) -> Markup:
 
 
 def known_curves(known: KnownCoefficients, count: int = 4) -> Markup:
-    """Truth, initial and re-solved coefficients over time for the ``count`` expressions that move most."""
+    """Draw true, initial and re-solved coefficients over time for the ``count`` expressions that move most."""
     with matplotlib.rc_context(_STYLE):
         chosen = sorted(np.argsort(-known.truth.std(axis=0))[:count])
         figure, axes = _figure(1.15 * len(chosen) + 0.6, rows=len(chosen))
@@ -291,7 +294,7 @@ def known_curves(known: KnownCoefficients, count: int = 4) -> Markup:
 
 
 def step_responses(fps: float) -> Markup:
-    """The response of every smoothing to a step, at ``fps`` frames per second."""
+    """Draw the response of every smoothing to a step, at ``fps`` frames per second."""
     with matplotlib.rc_context(_STYLE):
         figure, (axis,) = _figure(2.7)
         for (name, smoothing), colour in zip(COMPARED.items(), (BLUE, SKY, ORANGE, VERMILLION), strict=True):

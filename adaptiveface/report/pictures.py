@@ -33,7 +33,22 @@ class View:
 
 
 def face_view(camera: Camera, meshes: np.ndarray, width: int, aspect: float = 1.25) -> View:
-    """The view, ``width`` pixels wide and ``aspect`` times as high, that contains ``meshes`` (F, n, 3) in the camera frame."""
+    """Choose a view that contains meshes.
+
+    Parameters
+    ----------
+    camera : Camera
+    meshes : (F, n, 3) array
+        Vertices in the camera frame, mm.
+    width : int
+        Width of the view, px.
+    aspect : float
+        Height of the view as a multiple of its width.
+
+    Returns
+    -------
+    View
+    """
     u0, v0, u1, v1 = covering_window(camera, meshes.reshape(-1, 3), margin=14)
     w = min(max(u1 - u0, (v1 - v0) / aspect, 16), camera.width, camera.height / aspect)
     h = w * aspect
@@ -62,12 +77,12 @@ def depth_picture(depth: np.ndarray) -> np.ndarray:
 
 
 def frontal_triangles(actor) -> np.ndarray:
-    """(t, 3) triangles whose three vertices deform."""
+    """Return the (t, 3) triangles whose three vertices deform."""
     return actor.triangles[actor.frontal[actor.triangles].all(axis=1)]
 
 
 def wire_overlay(background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The mesh's edges over an image (h, w, 3); vertices (N, 3) in the camera frame."""
+    """Draw the mesh's edges over an image (h, w, 3). The vertices (N, 3) are in the camera frame."""
     camera, times = view.camera, 3
     hits = ray_cast(_magnified(camera, times), vertices, triangles, cull=True)
     # Near an edge one barycentric weight is small. Divided by its change per pixel, it gives the distance in pixels.
@@ -83,7 +98,7 @@ def wire_overlay(background: np.ndarray, view: View, vertices: np.ndarray, trian
 
 
 def shaded_overlay(background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray, albedo=SKIN) -> np.ndarray:
-    """The shaded mesh over an image (h, w, 3); albedo (3,) or (N, 3) in 0..255."""
+    """Draw the shaded mesh over an image (h, w, 3). The albedo is (3,) or (N, 3) in 0..255."""
     hits = ray_cast(view.camera, vertices, triangles, cull=True)
     return shade(hits, vertices, triangles, albedo, camera=view.camera, background=background)
 
@@ -100,7 +115,7 @@ def completed(
     head : (N, 3) array
         Vertices in the head frame, mm.
     triangles : (T, 3) array
-        Its triangles.
+        Triangles of the mesh.
     colours : (N, 3) array
         RGB in 0..255.
     gaze : (2, 2) array, optional
@@ -123,7 +138,7 @@ def completed(
 def heat_overlay(
     background: np.ndarray, view: View, vertices: np.ndarray, triangles: np.ndarray, values: np.ndarray, limits
 ) -> np.ndarray:
-    """The shaded mesh, coloured by ``values`` (N,) between ``limits``, over a darkened image."""
+    """Draw the shaded mesh over a darkened image. Its colours show ``values`` (N,) between ``limits``."""
     hits = ray_cast(view.camera, vertices, triangles, cull=True)
     dark = (background * 0.35).astype(np.uint8)
     return shade(hits, vertices, triangles, values, camera=view.camera, limits=limits, background=dark)
@@ -198,7 +213,7 @@ class Portraits:
 
 
 def on_backdrop(rgba: np.ndarray, colour=(52, 58, 68)) -> np.ndarray:
-    """(h, w, 3) uint8: an RGBA picture over a background of one colour."""
+    """Return a (h, w, 3) uint8 picture of an RGBA picture over a background of one colour."""
     alpha = rgba[..., 3:] / 255
     return (rgba[..., :3] * alpha + np.array(colour) * (1 - alpha)).astype(np.uint8)
 

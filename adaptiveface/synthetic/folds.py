@@ -141,7 +141,7 @@ class Fold:
     onset: float
 
     def strength(self, activations: np.ndarray) -> float:
-        """How far the fold has formed, from 0 to about 1.1, for activations (E,)."""
+        """Return how far the fold has formed for activations (E,), from 0 to about 1.1."""
         drive = float(self.weights @ np.clip(activations[self.units], 0, 1.2))
         return float(soft_step((drive - self.onset) / (1 - self.onset))) * min(max(drive, 1.0), 1.1)
 
@@ -183,7 +183,7 @@ def _drivers(kind: FoldKind, side: int, names: tuple[str, ...]) -> tuple[np.ndar
 
 
 def _curve(kind: FoldKind, side: int, shift, points, normals, landmarks) -> np.ndarray:
-    """(K', 3) densely sampled curve on the surface."""
+    """Return a densely sampled (K', 3) curve on the surface."""
     at = dict(zip(FEATURE_IDS.tolist(), landmarks, strict=True))
     unit = 0.5 * np.linalg.norm(at[45] - at[36])
     mirrored = {54: 48, 45: 36, 46: 41, 22: 21, 23: 20, 42: 39, 57: 57}

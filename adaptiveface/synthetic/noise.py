@@ -41,10 +41,26 @@ TRUEDEPTH_NOISE = (0.3, 0.25)
 
 
 def add_noise(kind: str, depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> np.ndarray:
-    """(h, w) float32 depth, mm, as the sensor would report it; 0 = no measurement.
+    """Turn clean depth into the depth that the sensor would report.
 
-    depth (h, w): clean depth of any window of the camera's image, mm, 0 = nothing; kind: "structured-light",
-    "truedepth" or "none" (returned as it is). Raises :class:`ParameterError` for another kind.
+    Parameters
+    ----------
+    kind : str
+        "structured-light", "truedepth" or "none". With "none", the depth is not changed.
+    depth : (h, w) array
+        Clean depth of any window of the camera's image, mm. It is 0 where nothing is seen.
+    camera : Camera
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (h, w) float32 array
+        Noisy depth, mm. It is 0 where nothing is measured.
+
+    Raises
+    ------
+    ParameterError
+        ``kind`` is unknown.
     """
     if kind == "none":
         return depth.astype(np.float32)
@@ -79,7 +95,7 @@ def _truedepth(depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> n
 
 
 def _correlated(shape: tuple[int, int], sigma: float, rng: np.random.Generator) -> np.ndarray:
-    """Gaussian noise of unit variance whose neighbours correlate over ``sigma`` pixels."""
+    """Return Gaussian noise of unit variance that is correlated over ``sigma`` pixels."""
     coarse = max(int(sigma / 2), 1)  # wide noise is made on a coarser grid
     h, w = (-(-n // coarse) + 1 for n in shape)
     pad = int(np.ceil(3 * sigma / coarse))
@@ -114,7 +130,7 @@ def _lateral_jitter(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def incidence(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """(h, w) angle between surface normal and optical axis, radians, from differences of depth."""
+    """Return the (h, w) angle between surface normal and optical axis, rad. It is computed from differences of depth."""
     size = np.maximum(depth, 1.0) / camera.fx
     slope_u = np.gradient(depth, axis=1) / size
     slope_v = np.gradient(depth, axis=0) / size
@@ -122,7 +138,7 @@ def incidence(depth: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def projector_shadow(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """(h, w) bool: seen by the camera, not by the projector ``BASELINE`` mm to its left.
+    """Find the pixels that the camera sees and the projector, ``BASELINE`` mm to its left, does not. Return (h, w) bool.
 
     In a rectified pair the projector sees a point at column u + f b / z; going left to right, a column that does not
     come out right of all columns before lies behind something nearer.
@@ -136,6 +152,9 @@ def projector_shadow(depth: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def _ragged_edges(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(h, w) bool: holes along depth edges of more than 15 mm; each pixel next to one is lost with probability 0.6."""
+    """Return the (h, w) bool holes along depth edges of more than 15 mm.
+
+    A pixel next to an edge is lost with probability 0.6.
+    """
     jump = cv2.dilate(depth, np.ones((3, 3), np.uint8)) - cv2.erode(depth, np.ones((3, 3), np.uint8)) > 15.0
     return jump & (rng.random(depth.shape, np.float32) < 0.6)

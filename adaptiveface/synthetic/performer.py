@@ -22,14 +22,39 @@ LID_THICKNESS = 0.9
 
 
 class Performer:
-    """A person who performs for the synthetic sensor; the same seed and model give the same person.
+    """A person who performs for the synthetic sensor. The same seed and model give the same person.
 
-    ``detail`` is the size of the identity detail outside the modes, mm rms; ``variation`` scales how personal the
-    expression units are; ``folds`` switches the folds on. With ``detail=0, variation=0, folds=False`` only the smoother
-    surface, the arc of the jaw and the contacts are left outside the model's span.
+    With ``detail=0, variation=0, folds=False``, only the smoother surface, the arc of the jaw and the contacts are outside
+    the model's span.
 
-    Attributes: model; seed; identity (M,); expression_names (E,); neutral (V, 3) mm, head frame; triangles (T, 3);
-    surface_triangles (U, 3) of the dense surface; eye_centres (2, 3) and eye_radii (2,), the subject's left eye first.
+    Parameters
+    ----------
+    seed : int
+        Seed of the person.
+    model : FaceModel, optional
+        The face model from which the person is drawn.
+    detail : float
+        Root mean square of the identity detail outside the modes, mm.
+    variation : float
+        Scale of the personal differences in the expression units.
+    folds : bool
+        Whether the face has folds.
+
+    Attributes
+    ----------
+    model : FaceModel
+    seed : int
+    identity : (M,) array
+    expression_names : (E,) tuple of str
+    neutral : (V, 3) array
+        The neutral face in the head frame, mm.
+    triangles : (T, 3) array
+    surface_triangles : (U, 3) array
+        Triangles of the dense surface.
+    eye_centres : (2, 3) array
+        Centres of the eyeballs, mm. The subject's left eye comes first.
+    eye_radii : (2,) array
+        Radii of the eyeballs, mm, in the same order.
     """
 
     def __init__(
@@ -112,7 +137,7 @@ class Performer:
                 self._lips.append(make_contact(rest, side, ring, near, 4.0, 0.5))
 
     def _close_lids(self) -> None:
-        """A full blink closes the eye: add to the personal unit what the generic one lacks on this head."""
+        """Make a full blink close the eye. The personal unit adds the motion that the generic unit lacks on this head."""
         for side, contact in self._lids.items():
             name = f"eyeBlink{side}"
             if name not in self.expression_names:
@@ -124,7 +149,7 @@ class Performer:
                 self._units[e] = closed - self._control
 
     def _deform(self, activations: np.ndarray) -> np.ndarray:
-        """(V, 3) mm: control points of the skin, before subdivision."""
+        """Return the (V, 3) control points of the skin before subdivision, mm."""
         active = np.flatnonzero(activations)
         a = activations[active]
         points = self._control + np.tensordot(a, self._units[active], axes=1)
@@ -139,7 +164,10 @@ class Performer:
         return points
 
     def surface(self, activations: np.ndarray) -> np.ndarray:
-        """(D, 3) mm, head frame: the dense skin for activations (E,); its first V vertices are :meth:`shape`."""
+        """Return the (D, 3) dense skin in the head frame for activations (E,), mm.
+
+        Its first V vertices are those of :meth:`shape`.
+        """
         activations = np.asarray(activations, float)
         dense = self._subdivision @ self._deform(activations)
         for fold in self._folds:
@@ -149,7 +177,7 @@ class Performer:
         return dense
 
     def shape(self, activations: np.ndarray) -> np.ndarray:
-        """(V, 3) mm, head frame: the true position of every vertex of the tracking mesh for activations (E,)."""
+        """Return the (V, 3) true vertices of the tracking mesh in the head frame for activations (E,), mm."""
         return self.surface(activations)[: len(self.neutral)]
 
 

@@ -28,8 +28,15 @@ _TORSO_RINGS = (
 class Scene:
     """The performer's whole visible surface.
 
-    Attributes: triangles (S, 3); part (n,) int8 part of each vertex; skin: number of dense skin vertices, which come
-    first; eye_directions (Q, 3): unit vectors of the eyeball vertices, for painting the iris.
+    Attributes
+    ----------
+    triangles : (S, 3) array
+    part : (n,) int8 array
+        Part of each vertex.
+    skin : int
+        Number of dense skin vertices. They come first.
+    eye_directions : (Q, 3) array
+        Unit vectors of the eyeball vertices, for painting the iris.
     """
 
     def __init__(self, performer: Performer, base_pose: np.ndarray) -> None:
@@ -60,10 +67,21 @@ class Scene:
         self.part = np.concatenate(parts).astype(np.int8)
 
     def vertices(self, skin: np.ndarray, rigid: np.ndarray, gaze: np.ndarray | None = None) -> np.ndarray:
-        """(n, 3) mm in the camera frame.
+        """Place the whole scene in front of the camera.
 
-        skin (D, 3): the dense skin, head frame; rigid (4, 4): head to camera; gaze (2, 3, 3): rotations of the
-        eyeballs.
+        Parameters
+        ----------
+        skin : (D, 3) array
+            The dense skin in the head frame, mm.
+        rigid : (4, 4) array
+            Transform from the head to the camera.
+        gaze : (2, 3, 3) array, optional
+            Rotations of the eyeballs.
+
+        Returns
+        -------
+        (n, 3) array
+            Vertices in the camera frame, mm.
         """
         in_head = [skin]
         for k, (centre, radius) in enumerate(zip(self.performer.eye_centres, self.performer.eye_radii, strict=True)):
@@ -123,7 +141,7 @@ def _tube(loop: np.ndarray, first: int, n_rings: int, cap: bool) -> np.ndarray:
 
 
 def unit_sphere(rings: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 3) and outward triangles (t, 3) of a unit sphere with its poles on the z axis."""
+    """Return vertices (n, 3) and outward triangles (t, 3) of a unit sphere with its poles on the z axis."""
     height = np.pi * np.arange(1, rings) / rings
     round_ = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(round_), np.sin(round_)], axis=1)

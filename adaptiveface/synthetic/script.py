@@ -69,7 +69,7 @@ class Event:
 
 
 def unit_vector(gesture: dict[str, float], names: tuple[str, ...]) -> np.ndarray:
-    """(E,) activations of a gesture; units that the model does not have are left out."""
+    """Return the (E,) activations of a gesture. Units that the model does not have are left out."""
     out = np.zeros(len(names))
     for unit, strength in gesture.items():
         for name in (unit, f"{unit}Left", f"{unit}Right"):
@@ -132,7 +132,7 @@ def _blinks(rng, names, frames: int) -> list[Event]:
 
 
 def _glances(rng, names, frames: int) -> list[Event]:
-    """Quick looks aside, up or down, held for half a second."""
+    """Return quick looks to the side, up or down. Each is held for half a second."""
     aside = {"eyeLookOutLeft": 0.6, "eyeLookInRight": 0.6}, {"eyeLookInLeft": 0.6, "eyeLookOutRight": 0.6}
     looks = [*aside, {"eyeLookDown": 0.5}, {"eyeLookUp": 0.5}]
     out, now = [], rng.uniform(20, 60)
@@ -147,8 +147,8 @@ class HeadMotion:
     """Smooth head motion over a whole recording; frame numbers count from its first frame.
 
     During the first ``neutral_frames`` the head turns slowly left, right, up and down (12 degrees yaw, 7 pitch); then
-    it moves freely within 20 degrees yaw, 10 pitch, 8 roll and a few centimetres. ``distance`` mm from the camera.
-    ``turns`` (F, 3): yaw, pitch and roll in degrees of the frames after the neutral ones, in place of the free turning.
+    it moves freely within 20 degrees yaw, 10 pitch, 8 roll and a few centimetres. The head is ``distance`` mm from the camera.
+    ``turns`` (F, 3) replaces the free turning. It holds yaw, pitch and roll of the frames after the neutral ones, degrees.
     """
 
     seed: int
@@ -159,7 +159,7 @@ class HeadMotion:
     turns: np.ndarray | None = None
 
     def pose(self, frame: float) -> np.ndarray:
-        """(4, 4) rigid transform from the head to the camera at a (fractional) frame."""
+        """Return the (4, 4) rigid transform from the head to the camera at a frame, which may be fractional."""
         yaw, pitch, roll, shift = self._scan(frame) if frame < self.neutral_frames else self._free(frame)
         angles = np.radians([pitch, yaw, roll])
         turn = rotation_vector_matrix(np.array([0, angles[1], 0])) @ rotation_vector_matrix(np.array([angles[0], 0, 0]))

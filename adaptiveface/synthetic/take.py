@@ -29,15 +29,21 @@ class Take:
 
     @property
     def turns(self) -> bool:
-        """Whether the take turns the head at all: some recorders write zeros."""
+        """Whether the take turns the head. Some recorders write zeros."""
         return bool(np.ptp(self.head, axis=0).max() > 0.1)
 
     def frames(self, fps: float) -> int:
-        """Frames of the take at ``fps`` frames per second."""
+        """Return the number of frames of the take at ``fps`` frames per second."""
         return int(np.floor(self.times[-1] * fps)) + 1
 
     def part(self, start: float, end: float) -> Take:
-        """The rows between two times, s; the part begins at time 0. Raises :class:`ParameterError` where there are none."""
+        """Return the rows between two times, s. The part begins at time 0.
+
+        Raises
+        ------
+        ParameterError
+            There are no rows between these times.
+        """
         inside = (self.times >= start) & (self.times <= end)
         if not inside.any():
             raise ParameterError(f"{self.name}: {start:g} to {end:g} s lies outside the take of {self.times[-1]:g} s")
@@ -46,14 +52,14 @@ class Take:
         return replace(self, name=name, times=times, curves=self.curves[inside], head=self.head[inside])
 
     def activations(self, names: tuple[str, ...], fps: float) -> np.ndarray:
-        """(F, E) activations in [0, 1] of the units ``names`` at ``fps``; zero for units that no curve drives."""
+        """Return the (F, E) activations of the units ``names`` at ``fps``, in [0, 1]. Units that no curve drives are zero."""
         columns = {name: number for number, name in enumerate(livelink.ARKIT_NAMES)}
         curves = self._sampled(np.clip(self.curves, 0.0, 1.0), fps)
         nothing = np.zeros(len(curves))
         return np.stack([curves[:, columns[name]] if name in columns else nothing for name in names], axis=1)
 
     def head_turns(self, fps: float) -> np.ndarray:
-        """(F, 3) turns at ``fps``, degrees."""
+        """Return the (F, 3) turns of the head at ``fps``, degrees."""
         return self._sampled(np.unwrap(self.head, axis=0, period=360.0), fps)
 
     def _sampled(self, values: np.ndarray, fps: float) -> np.ndarray:
@@ -62,7 +68,13 @@ class Take:
 
 
 def read_take(path: str | os.PathLike) -> Take:
-    """Read a Live Link Face CSV; raises :class:`FileFormatError` naming the file and the reason."""
+    """Read a Live Link Face CSV.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be read. The message names the file and the reason.
+    """
     take = livelink.read_take(path)
     steps = np.maximum(np.diff(take.timestamps, prepend=take.timestamps[0]), 1e-4)  # times that repeat still move on
     times = np.cumsum(steps) - steps[0]
