@@ -22,6 +22,6 @@ def smooth_field(rng: np.random.Generator, points: np.ndarray, wavelength: float
 
 
 def soft_step(x: ArrayLike) -> np.ndarray:
-    """0 below 0, 1 above 1, minimum-jerk polynomial between (Flash & Hogan 1985)."""
+    """Rise from 0 at 0 to 1 at 1 along the minimum-jerk polynomial (Flash & Hogan 1985). It is constant elsewhere."""
     x = np.clip(x, 0, 1)
     return x**3 * (10 - 15 * x + 6 * x**2)

@@ -17,12 +17,22 @@ from .fields import soft_step
 
 @dataclass(frozen=True)
 class FoldKind:
-    """One kind of fold on the subject's left side; mirrored where ``paired``.
+    """One kind of fold on the subject's left side. If ``paired``, the right side has its mirror image.
 
-    anchor: landmark (iBUG number) at which ``curve`` starts to be measured; curve (K, 2): x outwards and y up, in units
-    of half the distance between the outer eye corners; drivers: expression units (without Left/Right where paired) and
-    their weights; depth mm of the valley at full activation; width mm; ridge: height of the bulge beside the valley, as
-    a share of the depth, on the side away from the midline (or above).
+    Attributes
+    ----------
+    anchor
+        Landmark (iBUG number) that is the origin of ``curve``.
+    curve : (K, 2)
+        Points with x outwards and y up, in units of half the distance between the outer eye corners.
+    drivers
+        Expression units and their weights. The names of paired units have no Left or Right.
+    depth : float
+        Depth of the valley at full activation, mm.
+    width : float
+        Width of the valley, mm.
+    ridge : float
+        Height of the bulge beside the valley as a share of the depth. The bulge is above or away from the midline.
     """
 
     name: str
@@ -149,11 +159,17 @@ class Fold:
 def make_folds(
     rng: np.random.Generator, points: np.ndarray, normals: np.ndarray, landmarks: np.ndarray, names: tuple[str, ...]
 ) -> list[Fold]:
-    """The folds of one person.
+    """Make the folds of one person. Position, depth and width vary between persons and between left and right.
 
-    points, normals (D, 3): the dense neutral surface, head frame; landmarks (40, 3) on it, in the order of
-    ``FEATURE_IDS``; names: the expression units. Position, depth and width vary from person to person and from left
-    to right.
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    points, normals : (D, 3) arrays
+        The dense neutral surface in the head frame, mm.
+    landmarks : (40, 3) array
+        Landmarks on the surface in the order of ``FEATURE_IDS``.
+    names : tuple of str
+        The expression units.
     """
     out = []
     for kind in FOLDS:

@@ -30,7 +30,7 @@ class Lamp:
 
     @property
     def brightness(self) -> np.ndarray:
-        """(3,) light on skin that faces the camera: what a camera's automatic gain sees."""
+        """Return the (3,) light on skin that faces the camera. A camera's automatic gain sees this light."""
         key = np.asarray(self.light.key_direction, float)
         towards = -key[2] / np.linalg.norm(key)
         return self.colour * (self.light.ambient + self.light.head + self.light.key * max((towards + 0.35) / 1.35, 0.0))

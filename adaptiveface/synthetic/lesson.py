@@ -31,7 +31,10 @@ FAULT_MM = 11.0
 
 
 def lesson_script(names: tuple[str, ...]) -> np.ndarray:
-    """(150, E) activations of one round: each expression rises in 8 frames, holds 20, and goes in 8."""
+    """Return the (150, E) activations of one round.
+
+    Each expression rises in 8 frames, is held for 20 frames and falls in 8 frames.
+    """
     time = np.arange(ROUND, dtype=float)
     total = np.zeros((ROUND, len(names)))
     for k, units in enumerate(EXPRESSIONS.values()):

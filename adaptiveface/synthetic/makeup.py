@@ -39,9 +39,10 @@ def make_makeup(
     lids: list[np.ndarray],
     mouth: np.ndarray | None,
 ) -> Makeup:
-    """Fields for one performer, all in the head frame, mm.
+    """Make the fields for one performer. All positions are in the head frame, mm.
 
-    points, normals (D, 3); landmarks (40, 3); lids: rims (n, 3) of the eyes; mouth: the rim (n, 3) inside the lips.
+    ``points`` and ``normals`` are (D, 3), and ``landmarks`` are (40, 3). ``lids`` are the rims (n, 3) of the eyes. ``mouth``
+    is the rim (n, 3) inside the lips.
     """
     at = dict(zip(FEATURE_IDS.tolist(), landmarks, strict=True))
     unit = 0.5 * np.linalg.norm(at[45] - at[36])

@@ -74,10 +74,10 @@ class Painter:
         motion: np.ndarray,
         rotation: np.ndarray,
     ) -> np.ndarray:
-        """(H, W, 3) uint8 RGB of frame ``index``.
+        """Paint frame ``index`` as a (H, W, 3) uint8 RGB image.
 
-        vertices (n, 3) of the scene and motion (n, 3), by how much each moves from one frame to the next: mm, camera frame;
-        rotation (3, 3): head to camera.
+        ``vertices`` (n, 3) are those of the scene in the camera frame, mm. ``motion`` (n, 3) is how far each moves from one
+        frame to the next, mm. ``rotation`` (3, 3) turns the head frame to the camera frame.
         """
         room = lamp(self._look.light, index / self._fps)
         struck, fields = self._struck(hits)

@@ -63,8 +63,8 @@ def _octaves(points, footprint, wavelengths, amplitudes, seed, out):
 def noise(points: np.ndarray, footprint: np.ndarray, wavelengths, amplitudes, seed: int) -> np.ndarray:
     """(P,) sum of smooth noise of several ``wavelengths`` mm and ``amplitudes`` (standard deviations) at points (P, 3) mm.
 
-    ``footprint`` (P,): size of a pixel on the surface, mm. What is finer than two pixels is left out, as a lens and a pixel
-    average it.
+    ``footprint`` (P,) is the size of a pixel on the surface, mm. Structures finer than two pixels are left out, because a
+    lens and a pixel average them.
     """
     out = np.zeros(len(points))
     _octaves(points, footprint, np.asarray(wavelengths, float), np.asarray(amplitudes, float), seed, out)
