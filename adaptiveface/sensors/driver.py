@@ -112,7 +112,7 @@ class Driver(ABC):
 
 
 def usable(raw: RawFrame) -> bool:
-    """Whether the images have the size of the camera's calibration."""
+    """Return whether the images have the size that the camera's calibration states."""
     size = (raw.camera.height, raw.camera.width)
     return raw.depth.shape == size and (raw.colour is None or raw.colour.shape == (*size, 3))
 

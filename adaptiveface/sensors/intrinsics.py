@@ -23,15 +23,24 @@ _log = logging.getLogger(__name__)
 
 
 def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camera, float, float]:
-    """``intrinsic.json`` -> camera, frames per second, depth units per metre.
+    """Read an ``intrinsic.json``.
 
     Parameters
     ----------
     path : Path
-        The file. Without an ``fps``, 30 is assumed, and a note says so.
+        The file. If it has no ``fps``, 30 frames per second are assumed, and a warning is logged.
     depth_scale : float, optional
-        Used if the file names no ``depth_scale``. By default, such a file is refused, because nothing else tells the unit
-        of its depth images.
+        Depth units per metre. The value is used if the file has no ``depth_scale``. By default, such a file is refused,
+        because nothing else tells the unit of its depth images.
+
+    Returns
+    -------
+    camera : Camera
+        The calibration.
+    fps : float
+        Frames per second.
+    depth_scale : float
+        Depth units per metre.
 
     Raises
     ------
@@ -57,9 +66,26 @@ def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camer
 
 
 def focal_and_centre(path: Path, name: str, matrix: object) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy px of a file's ``matrix`` of 9 numbers, column-major: [fx, 0, 0, 0, fy, 0, cx, cy, 1].
+    """Take the focal lengths and the principal point from the matrix in a file.
 
-    Raises :class:`FileFormatError` for anything else, with a hint where it is row-major.
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    name : str
+        The name of the value in the file, for messages.
+    matrix : object
+        The value. It must be a list of 9 numbers in column-major order: [fx, 0, 0, 0, fy, 0, cx, cy, 1].
+
+    Returns
+    -------
+    tuple of 4 float
+        fx, fy, cx and cy in pixels.
+
+    Raises
+    ------
+    FileFormatError
+        The value is something else. The message has a hint if the matrix looks row-major.
     """
     if not isinstance(matrix, list) or len(matrix) != 9:
         raise FileFormatError(f"{path}: {name} = {abbreviated(matrix)} is not {_EXPECTED}")
@@ -72,7 +98,20 @@ def focal_and_centre(path: Path, name: str, matrix: object) -> tuple[float, floa
 
 
 def rate_of(path: Path, fps: object) -> float:
-    """Frames per second as a file states them. Where it states none, the usual rate is taken, and a note says so."""
+    """Return the frame rate that a file states.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    fps : object
+        The value in the file.
+
+    Returns
+    -------
+    float
+        Frames per second. If the value is not usable, the usual rate is returned, and a warning is logged.
+    """
     if isinstance(fps, (int, float)) and 0.1 <= fps <= 1000:
         return float(fps)
     state = "fps is missing" if fps is None else f"fps = {abbreviated(fps)} is not between 0.1 and 1000"
@@ -81,7 +120,27 @@ def rate_of(path: Path, fps: object) -> float:
 
 
 def camera_of(where: Path | str, size: tuple[int, int], values: tuple[float, float, float, float]) -> Camera:
-    """The camera of ``size`` (width, height) px with fx, fy, cx, cy. Raises :class:`FileFormatError` for impossible values."""
+    """Make a camera, and check that its values are possible.
+
+    Parameters
+    ----------
+    where : Path or str
+        The origin of the values, for messages.
+    size : (int, int)
+        Width and height of the images in pixels.
+    values : tuple of 4 float
+        fx, fy, cx and cy in pixels.
+
+    Returns
+    -------
+    Camera
+        The calibration.
+
+    Raises
+    ------
+    FileFormatError
+        The values are impossible for images of this size.
+    """
     try:
         camera = Camera(*size, *values)
     except FileFormatError as error:
@@ -108,7 +167,7 @@ def check_rate_and_scale(path: Path, fps: float, depth_scale: float) -> None:
 
 
 def intrinsics_json(camera: Camera, fps: float, depth_scale: float) -> str:
-    """The text of an ``intrinsic.json``."""
+    """Return the text of an ``intrinsic.json``. ``depth_scale`` is in depth units per metre."""
     content = {
         "width": camera.width,
         "height": camera.height,

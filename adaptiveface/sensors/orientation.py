@@ -31,14 +31,38 @@ for _a, _b in np.searchsorted(FEATURE_IDS, _PAIRS):
 
 
 def split_mirrored(text: str) -> tuple[str, bool]:
-    """``text`` without the ending ``,mirrored``, and whether it had one. An existing file may have such a name."""
+    """Split the ending ``,mirrored`` from the name of a source.
+
+    Parameters
+    ----------
+    text : str
+        The name of a source. The ending is kept if a file of exactly this name exists.
+
+    Returns
+    -------
+    text : str
+        The name without the ending.
+    mirrored : bool
+        Whether the name had the ending.
+    """
     if text.endswith(MIRRORED) and not Path(text).exists():
         return text.removesuffix(MIRRORED), True
     return text, False
 
 
 def mirrored(frame: AnyFrame) -> AnyFrame:
-    """``frame`` flipped left to right, of the same class. In its features, left and right change places."""
+    """Flip a frame left to right.
+
+    Parameters
+    ----------
+    frame : RgbdFrame
+        The frame. It is not changed.
+
+    Returns
+    -------
+    RgbdFrame
+        The flipped frame, which has the class of ``frame``. Its left and right features have changed places.
+    """
     camera, features = frame.camera, frame.features
     if features is not None:
         flip, right = [-1.0, 1.0], [camera.width - 1.0, 0.0]
@@ -55,7 +79,20 @@ def mirrored(frame: AnyFrame) -> AnyFrame:
 
 
 def turned(frame: AnyFrame, quarters: int) -> AnyFrame:
-    """``frame`` turned anticlockwise by ``quarters`` of a full turn, of the same class."""
+    """Turn a frame anticlockwise.
+
+    Parameters
+    ----------
+    frame : RgbdFrame
+        The frame. It is not changed.
+    quarters : int
+        The number of quarter turns.
+
+    Returns
+    -------
+    RgbdFrame
+        The turned frame, which has the class of ``frame``. Without a turn, it is ``frame`` itself.
+    """
     if quarters % 4 == 0:
         return frame
     features = frame.features
@@ -77,16 +114,39 @@ def turned(frame: AnyFrame, quarters: int) -> AnyFrame:
 
 
 def turned_camera(camera: Camera, quarters: int) -> Camera:
-    """The calibration of ``camera``'s pictures after they are turned anticlockwise by ``quarters`` of a full turn."""
+    """Return the calibration that fits the pictures of a camera after they are turned.
+
+    Parameters
+    ----------
+    camera : Camera
+        The calibration of the unturned pictures.
+    quarters : int
+        The number of anticlockwise quarter turns.
+
+    Returns
+    -------
+    Camera
+        The calibration of the turned pictures.
+    """
     for _ in range(quarters % 4):
         camera = Camera(camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.width - 1.0 - camera.cx)
     return camera
 
 
 class OrientedSource(NumberedFrames):
-    """A source with numbered frames, each mirrored and then turned anticlockwise by ``quarters`` of a full turn.
+    """Mirrors and turns every frame of a source with numbered frames.
 
-    Everything else is the source's own, except for its ground truth and its path, which describe unturned frames.
+    The other properties are taken from the source. Its ground truth and its path are left out, because they describe
+    unturned frames.
+
+    Parameters
+    ----------
+    source : FrameSource
+        The source of the frames.
+    mirrored : bool
+        Whether each frame is flipped left to right. The flip comes before the turn.
+    quarters : int
+        The number of anticlockwise quarter turns.
     """
 
     def __init__(self, source, mirrored: bool = False, quarters: int = 0) -> None:
@@ -103,19 +163,32 @@ class OrientedSource(NumberedFrames):
         return len(self._source)
 
     def read(self, index: int) -> RgbdFrame:
-        """Frame ``index`` the right way round; raises what the source raises."""
+        """Return frame ``index`` the right way round. Errors of the source are passed on."""
         frame = self._source.read(index)
         return turned(mirrored(frame) if self.mirrored else frame, self.quarters)
 
     def close(self) -> None:
-        """Close the source, where it can be closed."""
+        """Close the source if it can be closed."""
         close = getattr(self._source, "close", None)
         if close is not None:
             close()
 
 
 def as_tracked(source, result):
-    """``source`` flipped and turned as ``result`` was tracked, so that pictures and meshes agree; None stays None."""
+    """Flip and turn a source as it was when a result was tracked, so that pictures and meshes agree.
+
+    Parameters
+    ----------
+    source : FrameSource or None
+        The source of the pictures.
+    result : object
+        The result. Its attributes ``mirrored`` and ``turned`` are used if it has them.
+
+    Returns
+    -------
+    FrameSource or None
+        The oriented source. It is ``source`` itself if nothing has to change, and None if ``source`` is None.
+    """
     if source is None:
         return None
     flip = bool(getattr(result, "mirrored", False)) and not Abilities.of(source).mirrored

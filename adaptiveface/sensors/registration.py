@@ -52,7 +52,18 @@ class Registration:
         self._has_colour = colour is not None
 
     def depth(self, raw: np.ndarray) -> np.ndarray:
-        """(H, W) float32 mm of ``raw`` (H, W) mm, 0 = no measurement."""
+        """Remove the lens distortion from a depth image.
+
+        Parameters
+        ----------
+        raw : (H, W) array
+            Depth in mm as the camera took it. A pixel of 0 has no measurement.
+
+        Returns
+        -------
+        (H, W) float32
+            Depth in mm without distortion. A pixel of 0 has no measurement.
+        """
         raw = np.asarray(raw, np.float32)
         if self._maps is None:
             return raw
@@ -63,14 +74,23 @@ class Registration:
         return np.where(cv2.remap(smooth, *self._maps, cv2.INTER_NEAREST) > 0, between, nearest)
 
     def image(self, picture: np.ndarray) -> np.ndarray:
-        """A ``picture`` (H, W, 3) of the depth camera itself, with the distortion removed."""
+        """Remove the lens distortion from a ``picture`` (H, W, 3) that the depth camera itself took."""
         return picture if self._maps is None else cv2.remap(picture, *self._maps, cv2.INTER_LINEAR)
 
     def colour(self, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """(H, W, 3) uint8: what ``picture`` (h, w, 3) of the colour camera shows at each pixel of ``depth``.
+        """Align a picture of the colour camera to a depth image.
 
-        ``depth``: (H, W) mm as :meth:`depth` returned it. Black where it has no measurement and outside the
-        picture.
+        Parameters
+        ----------
+        picture : (h, w, 3) uint8
+            The picture as the colour camera took it.
+        depth : (H, W) float32
+            Depth in mm, as :meth:`depth` returned it.
+
+        Returns
+        -------
+        (H, W, 3) uint8
+            The colour at each pixel of ``depth``. A pixel is black if it has no measurement or lies outside the picture.
         """
         if not self._has_colour:
             return np.zeros((*depth.shape, 3), np.uint8)

@@ -32,9 +32,26 @@ _SLOT = {int(feature): slot for slot, feature in enumerate(FEATURE_IDS)}
 
 
 def read_timestamps(path: Path, frames: range, fps: float) -> FrameTimes:
-    """Times of ``frames``, s, checked by :func:`adaptiveface.runtime.timing.frame_times`; by ``fps`` without the file.
+    """Read timestamps.csv, and check the times with :func:`adaptiveface.runtime.timing.frame_times`.
 
-    Raises :class:`FileFormatError` for a table that is malformed, or whose times fit ``fps`` in no unit.
+    Parameters
+    ----------
+    path : Path
+        The table. If it does not exist, the times follow from ``fps``.
+    frames : range
+        The numbers of the frames.
+    fps : float
+        Frames per second.
+
+    Returns
+    -------
+    FrameTimes
+        The times of ``frames`` in seconds.
+
+    Raises
+    ------
+    FileFormatError
+        The table is malformed, or there is no unit in which its times fit ``fps``.
     """
     known = {}
     if path.exists():
@@ -48,7 +65,26 @@ def read_timestamps(path: Path, frames: range, fps: float) -> FrameTimes:
 
 
 def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
-    """Frame number -> features; None without the file. Features other than the 40 are skipped, and NaN means not seen."""
+    """Read features.csv.
+
+    Parameters
+    ----------
+    path : Path
+        The table.
+    frames : range
+        The numbers of the frames. Rows of other frames are skipped.
+
+    Returns
+    -------
+    dict of int to Features2D, or None
+        The features by frame number. Features other than the 40 are skipped, and NaN means that a feature was not seen.
+        The result is None if the file does not exist.
+
+    Raises
+    ------
+    FileFormatError
+        The table is malformed. The message names the line.
+    """
     if not path.exists():
         return None
     found: dict[int, Features2D] = {}
@@ -70,7 +106,26 @@ def read_features(path: Path, frames: range) -> dict[int, Features2D] | None:
 
 
 def read_irises(path: Path, frames: range) -> dict[int, np.ndarray]:
-    """Frame number -> (2, 2) pixels of the iris centres, NaN where not seen; empty without the file."""
+    """Read irises.csv.
+
+    Parameters
+    ----------
+    path : Path
+        The table.
+    frames : range
+        The numbers of the frames. Rows of other frames are skipped.
+
+    Returns
+    -------
+    dict of int to (2, 2) float64
+        The iris centres in pixels, by frame number. NaN means that an iris was not seen. The dictionary is empty if the
+        file does not exist.
+
+    Raises
+    ------
+    FileFormatError
+        The table is malformed. The message names the line.
+    """
     found: dict[int, np.ndarray] = {}
     if not path.exists():
         return found
@@ -85,9 +140,26 @@ def read_irises(path: Path, frames: range) -> dict[int, np.ndarray]:
 
 
 def read_frame_cameras(path: Path, frames: range, camera: Camera) -> dict[int, Camera]:
-    """Frame number -> camera of every frame that intrinsics.csv lists; empty without the file.
+    """Read intrinsics.csv, which lists the frames that have their own calibration.
 
-    ``camera`` is that of the recording, which gives the size of the images. Raises :class:`FileFormatError` with the line.
+    Parameters
+    ----------
+    path : Path
+        The table.
+    frames : range
+        The numbers of the frames. Rows of other frames are skipped.
+    camera : Camera
+        The camera of the recording. It gives the size of the images.
+
+    Returns
+    -------
+    dict of int to Camera
+        The cameras by frame number. The dictionary is empty if the file does not exist.
+
+    Raises
+    ------
+    FileFormatError
+        The table is malformed, or a camera is impossible. The message names the line.
     """
     if not path.exists():
         return {}
@@ -102,17 +174,17 @@ def read_frame_cameras(path: Path, frames: range, camera: Camera) -> dict[int, C
 
 
 def camera_row(frame: int, camera: Camera) -> tuple:
-    """The row of a frame in intrinsics.csv."""
+    """Return the row of a frame for intrinsics.csv."""
     return frame, *(f"{value:.9g}" for value in (camera.fx, camera.fy, camera.cx, camera.cy))
 
 
 def timestamp_row(frame: int, seconds: float) -> tuple:
-    """The row of a frame in timestamps.csv, to the microsecond."""
+    """Return the row of a frame for timestamps.csv. The time is rounded to the microsecond."""
     return frame, f"{float(seconds):.6f}"
 
 
 def feature_rows(frame: int, seen: Features2D) -> list[tuple]:
-    """The rows of a frame in features.csv: one per feature that was seen."""
+    """Return the rows of a frame for features.csv. There is one row per feature that was seen."""
     return [
         (frame, int(FEATURE_IDS[slot]), f"{u:.4f}", f"{v:.4f}", f"{seen.confidence[slot]:.4f}")
         for slot, (u, v) in enumerate(seen.pixels)
@@ -121,7 +193,7 @@ def feature_rows(frame: int, seen: Features2D) -> list[tuple]:
 
 
 def iris_rows(frame: int, seen: Features2D) -> list[tuple]:
-    """The rows of a frame in irises.csv: one per eye whose iris was seen."""
+    """Return the rows of a frame for irises.csv. There is one row per eye whose iris was seen."""
     centres = seen.iris_centres
     if centres is None:
         return []
