@@ -14,7 +14,7 @@ from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points, vertex_normals
 from ..geometry.rendering import ray_cast
 from ..model.actor import Actor
-from ..model.appearance import DARK, SURROUNDINGS
+from ..model.appearance import SURROUNDINGS, mixtures
 from .appearance import MIN_COSINE
 
 #: Deviation of the logarithm of the brightness from the light's, beyond which a sample is texture and counts little.
@@ -86,8 +86,7 @@ def shaded_face(actor: Actor, frame: RgbdFrame, pose: np.ndarray, places: np.nda
     if (high - low).min() < 2 or not weights.any():
         return None
     assert frame.colour is not None  # the caller ensures it
-    grey = cv2.transform(frame.colour.astype(np.float32), np.array([[0.3, 0.59, 0.11, DARK]]))
-    grey = cv2.GaussianBlur(grey, (0, 0), 2.0)
+    grey = cv2.GaussianBlur(mixtures(np.ascontiguousarray(frame.colour))[0], (0, 0), 2.0)
     found = cv2.remap(grey, pixels[places].astype(np.float32)[:, None], None, cv2.INTER_LINEAR)[:, 0]
     light = fit_light(np.log(np.maximum(found, 1.0)).astype(float), normals[places], weights)
     hits = ray_cast(camera, vertices, actor.triangles, (*low, *high))
