@@ -148,7 +148,7 @@ class ShrinkWrapStudy(_Study):
         self.view = FaceView(
             fit.vertices,
             self.model.triangles,
-            ("fitted modes", "after the shrink-wrap"),
+            ("after the fit", "after the shrink-wrap"),
             limits=(0, 2),
             label="distance to the scan, mm",
             centre=fit.vertices[self.model.frontal].mean(axis=0),
