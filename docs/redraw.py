@@ -13,8 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from adaptiveface.files.records import table
+from adaptiveface.importers.flame import FlameFile
+from adaptiveface.importers.gnm import GnmFile
 from adaptiveface.model.actor import Actor
 from adaptiveface.result import Result
+from adaptiveface.retargeting.character import CharacterFile
 
 DOCS = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOCS), str(DOCS.parent / "tests")]
@@ -45,6 +48,9 @@ PARTS: dict[str, Callable[[], str]] = {
     "frame walk": lambda: "```text\n" + "\n".join(frame_walk()) + "\n```",
     "actor.npz": lambda: table(Actor),
     "result.npz": lambda: table(Result),
+    "character.npz": lambda: table(CharacterFile),
+    "flame.npz": lambda: table(FlameFile),
+    "gnm_head.npz": lambda: table(GnmFile),
 }
 
 

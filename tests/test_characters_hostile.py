@@ -343,6 +343,26 @@ def test_mutated_character_npz(tmp_path):
             assert np.isfinite(loaded.neutral).all()
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (dict(skin=np.array(-1)), "'skin' = -1, but there are"),
+        (dict(skin=np.array(10**6)), "'skin' = 1000000, but there are"),
+        (dict(moving=np.array([10**6])), "'expressions' has shape"),
+        (dict(triangles=np.array([[0, 1, 10**6]])), "'triangles' points outside"),
+        (dict(expressions=None), "'expressions' is missing"),
+    ],
+)
+def test_a_wrong_character_npz_says_what_is_wrong(tmp_path, change, words):
+    path = tmp_path / "small.npz"
+    small_character().save(path)
+    with np.load(path) as stored:
+        known = dict(stored) | change
+    np.savez(path, **{name: values for name, values in known.items() if values is not None})
+    with pytest.raises(FileFormatError, match=words):
+        load_character(path)
+
+
 def test_mutated_obj_folders(tmp_path):
     good = "v 0 0 0\nv 200 0 0\nv 0 200 0\nv 0 0 200\nf 1 2 3\nf 1/1/1 2/2/2 4/4/4\n"
     for seed in range(60):

@@ -11,10 +11,13 @@ from adaptiveface.errors import FileFormatError
 from adaptiveface.files import records
 from adaptiveface.files.npz import write_npz
 from adaptiveface.files.records import array, arrays, part, read, record
+from adaptiveface.importers.flame import FlameFile
+from adaptiveface.importers.gnm import GnmFile
 from adaptiveface.model.actor import Actor
 from adaptiveface.model.face_model import FaceModel, embedded_face_model, load_face_model, save_face_model
 from adaptiveface.model.feature_set import FeatureSet
 from adaptiveface.result import Result
+from adaptiveface.retargeting.character import CharacterFile
 
 
 @record
@@ -34,20 +37,22 @@ class Sheet:
     points: np.ndarray = array("N 3", doc="corners", unit="mm")
     names: tuple[str, ...] = array("K", "U", "of something")
     flat: bool = array("", "b", "no height", optional=True, default=False)
+    count: int = array("", "i4", "of something", optional=True, default=2)
     turn: np.ndarray = array("N", "i1", "state", name="old_turn", optional=True, default=None)
     marks: Marks | None = part(Marks, "mark_")
 
 
-SHEET = Sheet(np.eye(3), ("a", "b"), True, np.zeros(3, np.int8), Marks(np.array([2, 0]), np.ones(2)))
+SHEET = Sheet(np.eye(3), ("a", "b"), True, 5, np.zeros(3, np.int8), Marks(np.array([2, 0]), np.ones(2)))
 
 
 def test_a_record_comes_back_as_it_was_written(tmp_path):
     write_npz(tmp_path / "a.npz", arrays(SHEET))
     with np.load(tmp_path / "a.npz") as stored:
-        assert set(stored) == {"points", "names", "flat", "old_turn", "mark_where", "mark_size"}
+        assert set(stored) == {"points", "names", "flat", "count", "old_turn", "mark_where", "mark_size"}
         assert stored["points"].dtype == np.float32 and stored["mark_size"].dtype == np.float32
+        assert stored["count"].dtype == np.int32, "a single integer has the declared type, too"
     data = read(Sheet, tmp_path / "a.npz", double=True)
-    assert (data["names"], data["flat"]) == (("a", "b"), True) and data["points"].dtype == float
+    assert (data["names"], data["flat"], data["count"]) == (("a", "b"), True, 5) and data["points"].dtype == float
     assert data["marks"]["where"].tolist() == [2, 0] and data["turn"].tolist() == [0, 0, 0]
 
 
@@ -71,14 +76,14 @@ def test_what_is_wrong_is_named(tmp_path, change, words):
 def test_what_is_optional_may_be_missing(tmp_path):
     write_npz(tmp_path / "a.npz", dict(points=np.eye(3), names=np.array(["a"])))
     sheet = Sheet(**read(Sheet, tmp_path / "a.npz"))
-    assert (sheet.flat, sheet.turn, sheet.marks) == (False, None, None)
+    assert (sheet.flat, sheet.count, sheet.turn, sheet.marks) == (False, 2, None, None)
 
 
 def test_the_docstring_has_every_array():
     assert "points : (N, 3)\n        Corners, mm." in Sheet.__doc__ and "flat : () bool" in Sheet.__doc__
 
 
-@pytest.mark.parametrize("cls", [Actor, FaceModel, FeatureSet, Result])
+@pytest.mark.parametrize("cls", [Actor, FaceModel, FeatureSet, Result, CharacterFile, FlameFile, GnmFile])
 def test_every_array_of_the_records_is_declared_with_a_meaning(cls):
     known = dict(records.declared(cls)) | dict(records.parts(cls))
     assert {entry.name for entry in fields(cls)} - set(known) <= {"name", "landmarks"}

@@ -29,12 +29,16 @@ from ..errors import FileFormatError
 from .npz import MAX_BYTES, Field, check_indices, load_checked
 
 _KEY = "array"
-#: Name of each type in the docs, and the kinds of arrays accepted for it. Integers may have any size and sign.
+#: Name of each type in the docs, and the kinds of arrays accepted for it. Numbers may have any size. Signed and unsigned
+#: integers are told apart only where a value of the other kind would mean something else.
 _TYPES = {
     "f4": ("", "f"),
     "f8": ("float64", "f"),
     "i4": ("int32", "iu"),
+    "i2": ("int16", "i"),
     "i1": ("int8", "iu"),
+    "u4": ("uint32", "iu"),
+    "u1": ("uint8", "u"),
     "b": ("bool", "b"),
     "U": ("str", "U"),
 }
@@ -52,7 +56,7 @@ class Array:
     shape : tuple
         Sizes as numbers or letters. Equal letters mean equal sizes within a file.
     dtype : str
-        Type of the written array: "f4", "f8", "i4", "i1", "b" or "U". Other sizes of the same kind can also be read.
+        Type of the written array, a key of ``_TYPES``. Other sizes of the same kind can also be read.
     doc, unit : str
         Meaning and unit of the values.
     optional : bool
@@ -242,12 +246,16 @@ def plain(values: np.ndarray, annotation: str) -> Any:
 
 
 def arrays(instance: Any) -> dict[str, np.ndarray]:
-    """The arrays of a record by name in the file, for :func:`read`. Floats have the declared type, and None is left out."""
+    """The arrays of a record by name in the file, for :func:`read`.
+
+    Floats and single integers have the declared type. None is left out.
+    """
     out = {}
     for attribute, entry in declared(type(instance)):
         if (value := getattr(instance, attribute)) is not None:
-            value = np.asanyarray(value)
-            out[entry.name] = value.astype(entry.dtype, copy=False) if value.dtype.kind == "f" else value
+            values = np.asanyarray(value)
+            cast = values.dtype.kind == "f" or type(value) is int
+            out[entry.name] = values.astype(entry.dtype, copy=False) if cast else values
     for attribute, inner in parts(type(instance)):
         if (value := getattr(instance, attribute)) is not None:
             out |= {inner.prefix + name: values for name, values in arrays(value).items()}

@@ -1,19 +1,19 @@
-"""FLAME (Li et al. 2017, "Learning a model of facial shape and expression from 4D scans"), as an ``.npz`` export.
+"""Read FLAME (Li et al. 2017, "Learning a model of facial shape and expression from 4D scans") from an ``.npz`` export.
 
-``v_template`` (V, 3) and ``shapedirs`` (V, 3, 400) metres per standard deviation (300 identity, then 100 expression),
-``f`` (T, 3). With ``weights`` (V, 5) and ``J_regressor`` (5, V) the jaw joint becomes a jawOpen unit.
+:class:`FlameFile` lists the arrays. If the file has the skinning of the joints, the jaw joint becomes the expression jawOpen.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import FileFormatError
 from ..files import open_regular
-from ..files.npz import Field, check_indices, load_checked
+from ..files.records import array, read, record
 from ..geometry.mesh import rotation_vector_matrix
 from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
@@ -22,20 +22,36 @@ MM_PER_UNIT = 1000.0
 IDENTITY_COMPONENTS = 300
 JAW_JOINT = 2
 JAW_RADIANS = 0.4
-_FIELDS = {
-    "v_template": Field(("V", 3)),
-    "shapedirs": Field(("V", 3, "K")),
-    "f": Field(("T", 3), "iu"),
-    "weights": Field(("V", "J"), optional=True),
-    "J_regressor": Field(("J", "V"), optional=True),
-    "posedirs": Field(("V", 3, "P"), optional=True),
-}
 #: Pickles run code while they are read; this line is for an environment that can be thrown away.
 CONVERSION = (
     "python -c \"import pickle, numpy as np; d = pickle.load(open('{name}', 'rb'), encoding='latin1'); "
     "np.savez('{stem}.npz', **{{k: np.array(d[k].todense() if hasattr(d[k], 'todense') else d[k]) for k in "
     "('v_template', 'shapedirs', 'posedirs', 'f', 'weights', 'J_regressor')}})\""
 )
+
+
+@record
+@dataclass(frozen=True)
+class FlameFile:
+    """The arrays of a FLAME export that are read. V vertices, T triangles, K components, J joints, P pose correctives."""
+
+    template: np.ndarray = array("V 3", name="v_template", doc="average head", unit="m")
+    directions: np.ndarray = array(
+        "V 3 K", name="shapedirs", doc="components, identity first, then expressions", unit="m per standard deviation"
+    )
+    triangles: np.ndarray = array("T 3", "i4", name="f", doc="vertex numbers", below="V")
+    weights: np.ndarray | None = array("V J", doc="share of each joint in each vertex", optional=True, default=None)
+    joint_regressor: np.ndarray | None = array(
+        "J V", name="J_regressor", doc="joints as weighted sums of the vertices", optional=True, default=None
+    )
+    pose_directions: np.ndarray | None = array(
+        "V 3 P",
+        name="posedirs",
+        doc="correctives for the rotations of all joints but the root, nine entries each",
+        unit="m",
+        optional=True,
+        default=None,
+    )
 
 
 def load_flame(
@@ -53,10 +69,9 @@ def load_flame(
     """
     path = Path(path)
     refuse_pickle(path)
-    data = load_checked(path, _FIELDS, max_bytes=MAX_BYTES)
-    template, directions = data["v_template"], data["shapedirs"]
-    check_size(path, len(template), len(data["f"]))
-    check_indices(path, "f", data["f"], len(template))
+    file = FlameFile(**read(FlameFile, path, max_bytes=MAX_BYTES))
+    directions = file.directions
+    check_size(path, len(file.template), len(file.triangles))
     if directions.shape[2] <= identity_components:
         raise FileFormatError(
             f"{path}: 'shapedirs' has {directions.shape[2]} components; more than {identity_components} are expected, "
@@ -65,11 +80,11 @@ def load_flame(
     identity = _modes(directions[:, :, : min(identity_modes, identity_components)])
     expressions = _modes(directions[:, :, identity_components : identity_components + expression_modes])
     names = [f"pca{k:03d}" for k in range(len(expressions))]
-    if "weights" in data and "J_regressor" in data and data["weights"].shape[1] > JAW_JOINT:
-        expressions = np.concatenate([expressions, _jaw_open(data)[None].astype(np.float32)])
+    if (jaw_open := _jaw_open(file)) is not None:
+        expressions = np.concatenate([expressions, jaw_open[None].astype(np.float32)])
         names.append("jawOpen")
     foreign = ForeignModel(
-        path, MM_PER_UNIT * template.astype(float), data["f"].astype(int), identity, expressions, tuple(names), units=False
+        path, MM_PER_UNIT * file.template.astype(float), file.triangles, identity, expressions, tuple(names), units=False
     )
     return assemble(foreign, feature_vertices)
 
@@ -90,15 +105,16 @@ def _modes(directions: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(MM_PER_UNIT * directions, 2, 0), np.float32)
 
 
-def _jaw_open(data: dict) -> np.ndarray:
-    """(V, 3) mm: the mean with the jaw joint turned, minus the mean, by linear blend skinning with pose correctives."""
-    template, weight = data["v_template"].astype(float), data["weights"][:, JAW_JOINT].astype(float)
+def _jaw_open(file: FlameFile) -> np.ndarray | None:
+    """The displacements (V, 3) of an open jaw, mm, by linear blend skinning with pose correctives; None without skinning."""
+    if file.weights is None or file.joint_regressor is None or file.weights.shape[1] <= JAW_JOINT:
+        return None
+    template, weight = file.template.astype(float), file.weights[:, JAW_JOINT].astype(float)
     turn = rotation_vector_matrix(np.array([JAW_RADIANS, 0.0, 0.0]))
     shaped = template
-    if "posedirs" in data and data["posedirs"].shape[2] >= 9 * JAW_JOINT:
-        # The correctives follow the rotations of all joints but the root, nine entries each.
-        ours = slice(9 * (JAW_JOINT - 1), 9 * JAW_JOINT)
-        shaped = template + data["posedirs"][:, :, ours] @ (turn - np.eye(3)).ravel()
-    joint = data["J_regressor"][JAW_JOINT] @ template
+    if file.pose_directions is not None and file.pose_directions.shape[2] >= 9 * JAW_JOINT:
+        ours = slice(9 * (JAW_JOINT - 1), 9 * JAW_JOINT)  # the root has no entries
+        shaped = template + file.pose_directions[:, :, ours] @ (turn - np.eye(3)).ravel()
+    joint = file.joint_regressor[JAW_JOINT] @ template
     turned = (shaped - joint) @ turn.T + joint
     return MM_PER_UNIT * (shaped + weight[:, None] * (turned - shaped) - template)

@@ -1,32 +1,39 @@
-"""GNM Head (Google's Generative aNthropometric Model, version 3): ``gnm_head.npz``.
+"""Read GNM Head (Google's Generative aNthropometric Model, version 3) from ``gnm_head.npz``.
 
-Fields used, as the model's own code documents them: ``template_vertex_positions`` (V, 3) and ``vertex_identity_basis``
-(I, V, 3), ``expression_basis`` (E, V, 3) in metres, ``expression_names`` (E,), ``triangles`` (T, 3), ``vertex_groups``
-(G, V) weights with ``vertex_group_names`` (G,). Joints, teeth, tongue and eyeballs are left out.
+:class:`GnmFile` lists the arrays that are read, as the model's own code documents them. Joints, teeth, tongue and eyeballs are
+left out.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..files.npz import Field, check_indices, load_checked
+from ..files.records import array, read, record
 from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 
 MM_PER_UNIT = 1000.0
 SKIN_GROUPS = ("skin_exterior", "skin")  # the first that the file has
-_FIELDS = {
-    "template_vertex_positions": Field(("V", 3)),
-    "vertex_identity_basis": Field(("I", "V", 3)),
-    "expression_basis": Field(("E", "V", 3)),
-    "expression_names": Field(("E",), "U", optional=True),
-    "triangles": Field(("T", 3), "iu"),
-    "vertex_groups": Field(("G", "V"), "f", optional=True),
-    "vertex_group_names": Field(("G",), "U", optional=True),
-}
+
+
+@record
+@dataclass(frozen=True)
+class GnmFile:
+    """The arrays of a GNM head that are read. V vertices, T triangles, I identity modes, E expressions, G groups."""
+
+    template: np.ndarray = array("V 3", name="template_vertex_positions", doc="average head", unit="m")
+    identity_modes: np.ndarray = array(
+        "I V 3", name="vertex_identity_basis", doc="identity modes", unit="m per standard deviation"
+    )
+    expressions: np.ndarray = array("E V 3", name="expression_basis", doc="expression modes", unit="m per standard deviation")
+    triangles: np.ndarray = array("T 3", "i4", "vertex numbers", below="V")
+    expression_names: tuple[str, ...] | None = array("E", "U", "names of the expression modes", optional=True, default=None)
+    vertex_groups: np.ndarray | None = array("G V", doc="share of each vertex in each group", optional=True, default=None)
+    vertex_group_names: tuple[str, ...] = array("G", "U", "names of the groups", optional=True, default=())
 
 
 def load_gnm(path: str | os.PathLike, feature_vertices=None, identity_modes: int = 100) -> FaceModel:
@@ -36,30 +43,27 @@ def load_gnm(path: str | os.PathLike, feature_vertices=None, identity_modes: int
     that move the face most. Raises :class:`FileFormatError` naming the file and the reason.
     """
     path = Path(path)
-    data = load_checked(path, _FIELDS, max_bytes=MAX_BYTES)
-    template = data["template_vertex_positions"]
-    check_size(path, len(template), len(data["triangles"]))
-    check_indices(path, "triangles", data["triangles"], len(template))
-    expressions = data["expression_basis"]
-    names = data.get("expression_names", [f"pca{k:03d}" for k in range(len(expressions))])
+    file = GnmFile(**read(GnmFile, path, max_bytes=MAX_BYTES))
+    check_size(path, len(file.template), len(file.triangles))
+    names = file.expression_names
     foreign = ForeignModel(
         path,
-        MM_PER_UNIT * template.astype(float),
-        data["triangles"].astype(int),
-        (MM_PER_UNIT * data["vertex_identity_basis"][:identity_modes]).astype(np.float32),
-        (MM_PER_UNIT * expressions).astype(np.float32),
-        tuple(map(str, names)),
+        MM_PER_UNIT * file.template.astype(float),
+        file.triangles,
+        (MM_PER_UNIT * file.identity_modes[:identity_modes]).astype(np.float32),
+        (MM_PER_UNIT * file.expressions).astype(np.float32),
+        tuple(f"pca{k:03d}" for k in range(len(file.expressions))) if names is None else names,
         units=False,
-        skin=_skin(data),
+        skin=_skin(file),
     )
     return assemble(foreign, feature_vertices)
 
 
-def _skin(data: dict) -> np.ndarray | None:
-    names = [str(n) for n in data.get("vertex_group_names", [])]
-    if "vertex_groups" not in data:
+def _skin(file: GnmFile) -> np.ndarray | None:
+    """Which vertices (V,) belong to the skin; None if the file does not tell."""
+    if file.vertex_groups is None:
         return None
     for group in SKIN_GROUPS:
-        if group in names:
-            return data["vertex_groups"][names.index(group)] > 0.5
+        if group in file.vertex_group_names:
+            return file.vertex_groups[file.vertex_group_names.index(group)] > 0.5
     return None

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FileFormatError
-from ..files.npz import Field, check_indices, load_checked, write_npz
+from ..files.npz import write_npz
+from ..files.records import array, arrays, read, record
 from ..geometry.polydata import expression_weights, surface
 from ..renamed import old_objects
 from . import BUILT_IN
@@ -27,16 +28,24 @@ STEP_MM = 0.04
 #: Most coordinates of all expressions together, 8 bytes each.
 MAX_VALUES = 100_000_000
 
-_FIELDS = {
-    "neutral": Field(("V", 3)),
-    "triangles": Field(("T", 3), "iu"),
-    "colours": Field(("V", 3), "u", optional=True),
-    "moving": Field(("M",), "iu"),
-    "expressions": Field(("E", "M", 3), "i"),
-    "expression_names": Field(("E",), "U"),
-    "skin": Field((), "iu", optional=True),
-    "mix": Field(("E", 52), optional=True),
-}
+
+@record
+@dataclass(frozen=True)
+class CharacterFile:
+    """The arrays of a character's file. V vertices, T triangles, E expressions, M vertices that any of them moves."""
+
+    neutral: np.ndarray = array("V 3", doc="neutral face, head frame", unit="mm")
+    triangles: np.ndarray = array("T 3", "u4", "vertex numbers; uint16 up to 65,536 vertices", below="V")
+    moving: np.ndarray = array("M", "u4", "numbers of the vertices that move; uint16 up to 65,536 vertices", below="V")
+    expressions: np.ndarray = array("E M 3", "i2", "their displacements at full activation", unit=f"{STEP_MM:g} mm")
+    expression_names: tuple[str, ...] = array("E", "U", "names of the expressions")
+    skin: int = array(
+        "", "u4", "so many leading vertices are the skin, as in the tracking mesh; 0 for another mesh", optional=True, default=0
+    )
+    mix: np.ndarray | None = array(
+        "E 52", doc="weights of the ARKit curves in each expression; absent: its name decides", optional=True, default=None
+    )
+    colours: np.ndarray | None = array("V 3", "u1", "sRGB colours", optional=True, default=None)
 
 
 @dataclass(frozen=True)
@@ -129,44 +138,38 @@ class Character:
         if np.abs(steps).max(initial=0) > 32767:
             raise FileFormatError(f"{path}: displacements beyond {32767 * STEP_MM:g} mm cannot be stored")
         small = np.uint16 if len(self.neutral) <= 65536 else np.uint32
-        arrays = dict(
-            neutral=self.neutral.astype(np.float32),
-            triangles=self.triangles.astype(small),
-            moving=moving.astype(small),
-            expressions=steps.astype(np.int16),
-            expression_names=np.array(self.expression_names),
-            skin=np.array(self.skin, np.uint32),
+        file = CharacterFile(
+            self.neutral,
+            self.triangles.astype(small),
+            moving.astype(small),
+            steps.astype(np.int16),
+            self.expression_names,
+            self.skin,
+            self.mix,
+            None if self.colours is None else self.colours.astype(np.uint8),
         )
-        if self.mix is not None:
-            arrays["mix"] = self.mix.astype(np.float32)
-        if self.colours is not None:
-            arrays["colours"] = self.colours.astype(np.uint8)
-        write_npz(path, arrays, compressed=True)
+        write_npz(path, arrays(file), compressed=True)
 
 
 def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Character:
     """Read a file of :meth:`Character.save`; raises :class:`FileFormatError` naming what is wrong."""
-    data = load_checked(path, _FIELDS, max_bytes=256 << 20)
-    n = len(data["neutral"])
-    if 3 * n * len(data["expressions"]) > MAX_VALUES:
-        raise FileFormatError(f"{path}: {len(data['expressions'])} expressions of {n} vertices are too many")
-    for key in ("triangles", "moving"):
-        check_indices(path, key, data[key], n)
-    expressions = np.zeros((len(data["expressions"]), n, 3))
-    expressions[:, data["moving"]] = data["expressions"] * STEP_MM
-    skin = int(data.get("skin", 0))
-    if skin > n:
-        raise FileFormatError(f"{path}: 'skin' = {skin}, but there are {n} vertices")
-    names = tuple(str(text) for text in data["expression_names"])
+    file = CharacterFile(**read(CharacterFile, path, max_bytes=256 << 20))
+    n = len(file.neutral)
+    if 3 * n * len(file.expressions) > MAX_VALUES:
+        raise FileFormatError(f"{path}: {len(file.expressions)} expressions of {n} vertices are too many")
+    if not 0 <= file.skin <= n:
+        raise FileFormatError(f"{path}: 'skin' = {file.skin}, but there are {n} vertices")
+    expressions = np.zeros((len(file.expressions), n, 3))
+    expressions[:, file.moving] = file.expressions * STEP_MM
     return Character(
         name or Path(path).stem,
-        data["neutral"].astype(float),
-        data["triangles"].astype(np.int32),
-        names,
+        file.neutral.astype(float),
+        file.triangles,
+        file.expression_names,
         expressions,
-        data.get("colours"),
-        skin,
-        mix=data.get("mix"),
+        file.colours,
+        file.skin,
+        mix=file.mix,
     )
 
 
