@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from adaptiveface.evaluation.compare import OtherResult
+from adaptiveface.evaluation.truth import StoredTruth
 from adaptiveface.files.records import table
 from adaptiveface.importers.flame import FlameFile
 from adaptiveface.importers.gnm import GnmFile
@@ -51,6 +53,8 @@ PARTS: dict[str, Callable[[], str]] = {
     "character.npz": lambda: table(CharacterFile),
     "flame.npz": lambda: table(FlameFile),
     "gnm_head.npz": lambda: table(GnmFile),
+    "ground_truth.npz": lambda: table(StoredTruth),
+    "another tracker's .npz": lambda: table(OtherResult),
 }
 
 

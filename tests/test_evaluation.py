@@ -4,6 +4,7 @@ import importlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -239,6 +240,51 @@ def test_truth_of_a_file_equals_that_of_the_sensor(sensor, tmp_path):
     np.savez(path, vertices=np.zeros((2, 5, 3), np.float32), rigid=np.zeros((3, 4, 4)), performance=np.zeros(2, int))
     with pytest.raises(FileFormatError, match="rigid"):
         ev.GroundTruth.of(path)
+
+
+def test_damaged_truth_is_refused_by_name_before_memory_is_taken(tmp_path, monkeypatch):
+    path = tmp_path / "ground_truth.npz"
+    whole = dict(vertices=np.zeros((2, 5, 3)), rigid=np.zeros((2, 4, 4)), performance=np.zeros(2, int))
+    for name, value, words in (
+        ("performance", None, "'performance' is missing"),
+        ("performance", np.zeros(2), "'performance' has dtype"),
+        ("vertices", np.full((2, 5, 3), np.nan), "'vertices' holds NaN"),
+        ("neutral", np.zeros((4, 3)), "'neutral' has shape"),
+    ):
+        np.savez(path, **{key: array for key, array in (whole | {name: value}).items() if array is not None})
+        with pytest.raises(FileFormatError, match=words) as caught:
+            ev.GroundTruth.of(path)
+        assert str(path) in str(caught.value)
+    np.savez(path, **whole)
+    with pytest.raises(FileFormatError, match="no neutral frame"):
+        ev.GroundTruth.of(path)
+    monkeypatch.setattr("adaptiveface.evaluation.truth._MAX_BYTES", 100)
+    with pytest.raises(FileFormatError, match="need more than"):
+        ev.GroundTruth.of(path)
+
+
+def test_truth_is_found_in_the_source_or_in_its_folder(sensor, tmp_path):
+    assert ev.truth_of(sensor) is sensor
+    folder = SimpleNamespace(path=tmp_path)
+    assert ev.truth_of(folder) is None and ev.truth_of(SimpleNamespace()) is None
+    (tmp_path / "ground_truth.npz").touch()
+    assert ev.truth_of(folder) == tmp_path / "ground_truth.npz"
+    with pytest.raises(TypeError, match="ground_truth"):
+        ev.GroundTruth.of(folder)
+
+
+def test_the_old_name_of_the_true_pose_still_works(sensor):
+    class Old:
+        def __len__(self):
+            return 1
+
+        def ground_truth(self, index):
+            truth = sensor.ground_truth(index)
+            return SimpleNamespace(vertices=truth.vertices, rigid=truth.head_pose, performance=truth.performance)
+
+    with pytest.warns(DeprecationWarning, match="head_pose"):
+        truth = ev.GroundTruth.of(Old())
+    assert np.allclose(truth.neutral, sensor.model.mean)
 
 
 def test_truth_of_the_synthetic_sensor():

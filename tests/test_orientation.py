@@ -108,6 +108,19 @@ def test_every_kind_of_source_can_be_mirrored(takes, tmp_path):
     np.testing.assert_allclose(first.features.pixels, Recording(takes / "straight").read(0).features.pixels, atol=1e-3)
 
 
+def test_a_guessed_camera_of_a_mirrored_video_can_be_corrected(tmp_path):
+    """The capture sets the focal length that it has found on the source, which holds for the frames read afterwards."""
+    video = open_source(str(encode(tmp_path / "selfie.avi", [np.zeros((48, 64, 3), np.uint8)] * 3)))
+    video.camera = dataclasses.replace(video.camera, cx=20.0)
+    for flip, quarters in ((True, 0), (False, 1), (True, 3)):
+        source = OrientedSource(video, flip, quarters)
+        assert source.guessed_camera and source.mirrored == flip
+        source.camera = source.camera.zoomed(1.25)
+        assert source.read(2).camera == source.camera
+    assert video.camera.cx == 20.0 and video.camera.fx == pytest.approx(1.25**3 * 64 / 2 / np.tan(np.radians(30)))
+    assert not OrientedSource(OrientedSource(video, True), True).mirrored
+
+
 def test_a_file_whose_name_ends_like_that_is_itself(tmp_path):
     talking_head(tmp_path / "take,mirrored", 1)
     assert split_mirrored(str(tmp_path / "take,mirrored")) == (str(tmp_path / "take,mirrored"), False)

@@ -15,6 +15,8 @@ from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from adaptiveface.pipeline import capture_from
 from adaptiveface.sensors import FrameSource, Recording, RecordingWriter, open_source
+from adaptiveface.sensors.intrinsics import read_camera
+from adaptiveface.sensors.numbered import Abilities
 from adaptiveface.sensors.orientation import mirrored, turned
 
 CAMERA = Camera(24, 16, 30.0, 31.0, 11.5, 7.5)
@@ -191,6 +193,28 @@ def test_unusable_intrinsics_are_named(folder, name):
     with pytest.raises(FileFormatError) as caught:
         Recording(folder)
     assert str(path) in str(caught.value) and reason in str(caught.value)
+
+
+def test_a_rate_that_is_missing_is_assumed_with_a_warning(folder, caplog):
+    path = edit_intrinsics(folder, fps=None)
+    assert Recording(folder).fps == 30 and f"{path}: fps is missing; 30 is taken" in caplog.text
+    caplog.clear()
+    edit_intrinsics(folder, depth_scale=None)
+    assert read_camera(path) == CAMERA and not caplog.text  # pictures that bring their own rate need the camera only
+
+
+def test_what_a_source_declares_has_defaults(folder):
+    class Own:
+        name, camera, fps, timestamps = "own", CAMERA, 15.0, np.arange(3) / 15
+
+        def read_colour(self, index):
+            return np.full((2, 2, 3), index, np.uint8)
+
+    recording, own, none = Recording(folder), Abilities.of(Own()), Abilities.of(None)
+    assert Abilities.of(recording) is recording and recording.unit_file == folder / "intrinsic.json"
+    assert (own.fps, own.has_features, own.notes) == (15.0, False, ()) and len(own.timestamps) == 3
+    assert own.read_colour(1).max() == 1 and none.read_colour(1) is None and none.path is None
+    own.close()
 
 
 @pytest.mark.parametrize("content", ["", "[1, 2]", "{", "[" * 100_000, '{"width": 3', "\x00\x01", '"text"'])

@@ -186,7 +186,7 @@ def test_frames_in_any_order(frames, tmp_path):
     for k in (11, 0, 5, 5, 4, 9):
         assert np.array_equal(video.read(k).colour, ahead[k])
     assert video.fps == 25 and video.read(5).timestamp == pytest.approx(0.2)
-    mirrored = VideoFile(video.path, mirrored=True)
+    mirrored = open_source(f"{video.path},mirrored")
     assert np.array_equal(mirrored.read(3).colour, ahead[3][:, ::-1])
     with pytest.raises(IndexError):
         video.read(12)

@@ -15,7 +15,7 @@ from ..tracking.stages import Stages
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
 from .run import ErrorCollector, Evaluation
-from .truth import REPEAT, GroundTruth
+from .truth import REPEAT, AnyTruth, GroundTruth
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ VARIANTS = (
 
 def run_ablations(
     frames: Iterable[RgbdFrame],
-    truth,
+    truth: AnyTruth,
     actor: Actor,
     parameters: Parameters | None = None,
     variants: Iterable[Variant] = VARIANTS,

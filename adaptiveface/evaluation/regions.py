@@ -7,6 +7,8 @@ from scipy.spatial import cKDTree
 
 from ..geometry.frame import FEATURE_IDS, FEATURE_REGIONS
 from ..geometry.mesh import surface_points
+from ..model.actor import Actor
+from ..model.face_model import FaceModel
 
 #: Order of the regions in tables. A vertex belongs to one region at most.
 REGIONS = ("lips", "eyes", "brows", "cheeks", "chin")
@@ -48,7 +50,18 @@ def region_masks(
     return masks
 
 
-def actor_regions(actor) -> dict[str, np.ndarray]:
-    """:func:`region_masks` of an :class:`~adaptiveface.model.actor.Actor` (or a face model's mean head)."""
-    neutral = actor.neutral if isinstance(getattr(actor, "neutral", None), np.ndarray) else actor.mean
+def actor_regions(actor: Actor | FaceModel) -> dict[str, np.ndarray]:
+    """Return the regions of a head.
+
+    Parameters
+    ----------
+    actor : Actor or FaceModel
+        The head. Of a face model, it is the mean head.
+
+    Returns
+    -------
+    dict
+        As :func:`region_masks` returns it.
+    """
+    neutral = actor.mean if isinstance(actor, FaceModel) else actor.neutral
     return region_masks(neutral, actor.feature_triangles, actor.feature_weights, actor.frontal)

@@ -6,7 +6,7 @@ Shapes: S stages, F scored frames, n vertices that may take depth, m frontal ver
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..model.actor import Actor
 from ..tracking.types import TrackedFrame
 from . import metrics
 from .regions import actor_regions
-from .truth import FIRST, NEUTRAL, REPEAT, GroundTruth
+from .truth import FIRST, NEUTRAL, REPEAT, AnyTruth, GroundTruth
 
 STAGES = ("v1", "v2", "v3", "v4")
 
@@ -140,41 +140,59 @@ class Evaluation:
         return evaluation_table(self)
 
 
-@dataclass
+@dataclass(frozen=True)
+class _FrameErrors:
+    """Errors of one frame. The attributes are those of :class:`Evaluation`, without the dimension of the frames."""
+
+    index: int
+    performance: int
+    surface: np.ndarray
+    normal: np.ndarray
+    tangential: np.ndarray
+    motion: np.ndarray
+    pose_shift: float
+    pose_angle: float
+    anchor_distance: float
+    adaptive_distance: float
+
+
 class ErrorCollector:
     """Scores tracked frames one by one, so that a run can be scored while it is tracked, without keeping meshes.
 
     Parameters
     ----------
     truth : GroundTruth
-        Or any argument of :meth:`GroundTruth.of`.
+        The truth, or any other argument of :meth:`GroundTruth.of`.
     actor : Actor
         The rig that is tracked.
-    stages : sequence of str
-        Of ``STAGES``.
+    stages : tuple of str
+        The meshes to score, of ``STAGES``.
     alignment : (4, 4), optional
-        From the actor's head frame to the true one; by default :func:`metrics.neutral_alignment`.
+        Transform from the actor's head frame to the true one. By default, :func:`metrics.neutral_alignment` finds it.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        The truth and the actor have different meshes.
     """
 
-    truth: GroundTruth
-    actor: Actor
-    stages: tuple[str, ...] = STAGES
-    alignment: np.ndarray | None = None
-    _rows: list = field(default_factory=list, repr=False)
-    _lost: dict = field(default_factory=lambda: {NEUTRAL: 0, FIRST: 0, REPEAT: 0}, repr=False)
-
-    def __post_init__(self) -> None:
-        self.truth = GroundTruth.of(self.truth)
-        if len(self.truth.neutral) != len(self.actor.neutral):
+    def __init__(
+        self, truth: AnyTruth, actor: Actor, stages: tuple[str, ...] = STAGES, alignment: np.ndarray | None = None
+    ) -> None:
+        self.truth, self.actor, self.stages = GroundTruth.of(truth), actor, stages
+        if len(self.truth.neutral) != len(actor.neutral):
             raise AdaptiveFaceError(
-                f"the truth has {len(self.truth.neutral)} vertices, the actor {len(self.actor.neutral)}: errors per "
+                f"the truth has {len(self.truth.neutral)} vertices, the actor {len(actor.neutral)}: errors per "
                 "vertex need the same mesh; track with an actor captured with the model that made the truth"
             )
-        self.frontal = self.actor.frontal.astype(bool)
-        self.scored = self.frontal & self.actor.depth_valid.astype(bool)
-        if self.alignment is None:
-            self.alignment = metrics.neutral_alignment(self.actor.neutral, self.truth.neutral, self.frontal)
+        self.frontal = actor.frontal.astype(bool)
+        self.scored = self.frontal & actor.depth_valid.astype(bool)
+        if alignment is None:
+            alignment = metrics.neutral_alignment(actor.neutral, self.truth.neutral, self.frontal)
+        self.alignment = alignment
         self.centre = self.truth.neutral[self.frontal].mean(axis=0)
+        self._frames: list[_FrameErrors] = []
+        self._lost = {NEUTRAL: 0, FIRST: 0, REPEAT: 0}
 
     def add(self, frame: TrackedFrame) -> None:
         """Score one frame. A frame that is not tracked is counted as lost."""
@@ -197,7 +215,19 @@ class ErrorCollector:
         anchor: float = np.nan,
         adaptive: float = np.nan,
     ) -> None:
-        """Score one frame at ``rigid`` (4, 4), head to camera, with the stages' meshes (N, 3) in the camera frame, mm."""
+        """Score one frame.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame in the truth.
+        rigid : (4, 4)
+            The tracked transform from the head frame to the camera frame, mm.
+        meshes : dict
+            Vertices (N, 3) of each stage in the camera frame, mm.
+        anchor, adaptive : float
+            The distances of figure 11.
+        """
         truth = self.truth[index]
         surface = metrics.TrueSurface(truth.vertices, self.actor.triangles)
         normals = vertex_normals(truth.vertices, self.actor.triangles)[self.frontal]
@@ -210,43 +240,47 @@ class ErrorCollector:
             )
             parts.append(metrics.split_by_normal(error[self.frontal], normals))
         normal, tangential = zip(*parts, strict=True)
-        pose = metrics.pose_error(rigid, truth.head_pose, self.alignment, self.centre)
-        self._rows.append(
-            (
-                index,
-                truth.performance,
-                np.float32(distances),
-                np.float32(normal),
-                np.float32(tangential),
-                np.float32(np.linalg.norm(motion, axis=1)),
-                *pose,
-                anchor,
-                adaptive,
+        shift, angle = metrics.pose_error(rigid, truth.head_pose, self.alignment, self.centre)
+        self._frames.append(
+            _FrameErrors(
+                index=index,
+                performance=truth.performance,
+                surface=np.array(distances, np.float32),
+                normal=np.array(normal, np.float32),
+                tangential=np.array(tangential, np.float32),
+                motion=np.linalg.norm(motion, axis=1).astype(np.float32),
+                pose_shift=shift,
+                pose_angle=angle,
+                anchor_distance=anchor,
+                adaptive_distance=adaptive,
             )
         )
 
     def finish(self) -> Evaluation:
         """Return the errors of all frames so far. Raises :class:`AdaptiveFaceError` if none was tracked."""
-        if not self._rows:
+        frames = self._frames
+        if not frames:
             raise AdaptiveFaceError("no frame was tracked, so there is no error to report")
-        columns = list(zip(*self._rows, strict=True))
-        index, performance, distances, normal, tangential, motion, *curves = columns
-        per_stage = [np.stack(column, axis=1) for column in (distances, normal, tangential)]
         return Evaluation(
-            self.stages,
-            np.array(index),
-            np.array(performance),
-            dict(self._lost),
-            *per_stage,
-            np.stack(motion),
-            *(np.array(curve, float) for curve in curves),
-            self.scored,
-            self.frontal,
-            actor_regions(self.actor),
+            stages=self.stages,
+            index=np.array([frame.index for frame in frames]),
+            performance=np.array([frame.performance for frame in frames]),
+            lost=dict(self._lost),
+            surface=np.stack([frame.surface for frame in frames], axis=1),
+            normal=np.stack([frame.normal for frame in frames], axis=1),
+            tangential=np.stack([frame.tangential for frame in frames], axis=1),
+            motion=np.stack([frame.motion for frame in frames]),
+            pose_shift=np.array([frame.pose_shift for frame in frames], float),
+            pose_angle=np.array([frame.pose_angle for frame in frames], float),
+            anchor_distance=np.array([frame.anchor_distance for frame in frames], float),
+            adaptive_distance=np.array([frame.adaptive_distance for frame in frames], float),
+            scored=self.scored,
+            frontal=self.frontal,
+            regions=actor_regions(self.actor),
         )
 
 
-def evaluate_run(frames: Iterable[TrackedFrame], truth, actor: Actor, stages: tuple[str, ...] = STAGES) -> Evaluation:
+def evaluate_run(frames: Iterable[TrackedFrame], truth: AnyTruth, actor: Actor, stages: tuple[str, ...] = STAGES) -> Evaluation:
     """Score tracked frames against the truth.
 
     Parameters

@@ -25,6 +25,7 @@ from ..retargeting.character import Character
 from ..retargeting.portrait import SKIN, painted_portrait
 from ..runtime.timing import film_frames, gif_frames
 from ..sensors.capture_device import quiet
+from ..sensors.numbered import Abilities
 from .animation import CAMERA_TO_VIEW, AnimatedMesh
 from .encoder import encode_h264, ffmpeg_program
 
@@ -93,7 +94,7 @@ def input_panel(source, result: Result) -> Panel:
     u, v = camera.project(middle)
     half = 1.15 * camera.fx * spread / middle[2]
     matrix = PANEL / (2 * half) * np.array([[1.0, 0.0, half - u], [0.0, 1.0, half - v]])
-    read_colour = getattr(source, "read_colour", lambda frame: None)  # the depth would not be shown
+    read_colour = Abilities.of(source).read_colour  # the depth would not be shown
 
     def draw(frame: int) -> np.ndarray:
         """The cropped picture; black where the source has none."""

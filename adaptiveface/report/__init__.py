@@ -87,7 +87,7 @@ def write_report(
         step = -(-len(context.result) // MAX_SCORED)
         context = replace(context, evaluation=score(context, step))
         note = f"Scored here: every {_ordinal(step)} frame." if step > 1 else ""
-    name = str(getattr(context.source, "name", "a performance"))
+    name = "a performance" if source is None else source.name
     about_retargeting = retargeting.section(context, load_character(character), known, still_frames)
     body = _body(context, name, note, about_retargeting, _whole_mesh(correctives, actor))
     path = Path(out_dir) / "report.html"

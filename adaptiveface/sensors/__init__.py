@@ -10,9 +10,10 @@ from __future__ import annotations
 from .catalogue import SensorInfo, list_sensors, open_sensor
 from .driver import Driver, LiveFrame
 from .live import LiveSensor
+from .numbered import FrameSource
 from .playback import NOISES
 from .recording import Recording, RecordingWriter
-from .sources import FrameSource, open_source
+from .sources import open_source
 
 __all__ = [
     "NOISES",

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..geometry.camera import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, Camera
-from .intrinsics import read_intrinsics
+from .intrinsics import read_camera
 
 __all__ = ["FIELD_OF_VIEW", "FIELD_OF_VIEW_RANGE", "as_rgb", "calibration_for", "camera_of_view", "quiet"]
 
@@ -56,7 +56,7 @@ def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: fl
     """
     if field_of_view is not None or not intrinsics.is_file():
         return camera_of_view(width, height, FIELD_OF_VIEW if field_of_view is None else field_of_view)
-    camera = read_intrinsics(intrinsics, depth_scale=1000.0)[0]
+    camera = read_camera(intrinsics)
     if (camera.width, camera.height) != (width, height):
         raise FileFormatError(
             f"{intrinsics}: is for pictures of {camera.width} x {camera.height}, the video's have {width} x {height}; "

@@ -22,16 +22,14 @@ _EXPECTED = "a list of 9 numbers: the camera's intrinsics, column-major, [fx, 0,
 _log = logging.getLogger(__name__)
 
 
-def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camera, float, float]:
-    """Read an ``intrinsic.json``.
+def read_intrinsics(path: Path) -> tuple[Camera, float, float]:
+    """Read the ``intrinsic.json`` of a recording.
 
     Parameters
     ----------
     path : Path
-        The file. If it has no ``fps``, 30 frames per second are assumed, and a warning is logged.
-    depth_scale : float, optional
-        Depth units per metre. The value is used if the file has no ``depth_scale``. By default, such a file is refused,
-        because nothing else tells the unit of its depth images.
+        The file. If it has no ``fps``, 30 frames per second are assumed, and a warning is logged. A file without
+        ``depth_scale`` is refused, because nothing else tells the unit of its depth images.
 
     Returns
     -------
@@ -49,20 +47,44 @@ def read_intrinsics(path: Path, depth_scale: float | None = None) -> tuple[Camer
     """
     content = _read_json(path)
     if content.get("depth_scale") is None:
-        if depth_scale is None:
-            state = "depth_scale = None" if "depth_scale" in content else "depth_scale is missing"
-            raise FileFormatError(
-                f"{path}: {state}; it says how many units of the depth images are a metre, usually {USUAL_DEPTH_SCALES}"
-            )
-        content["depth_scale"] = depth_scale
-    if content.get("fps") is None:  # a video, which has a depth_scale given, brings its own
-        content["fps"] = rate_of(path, None) if depth_scale is None else USUAL_FPS
-    width, height, fps, units = (_number(path, name, content.get(name)) for name in ("width", "height", "fps", "depth_scale"))
+        state = "depth_scale = None" if "depth_scale" in content else "depth_scale is missing"
+        raise FileFormatError(
+            f"{path}: {state}; it says how many units of the depth images are a metre, usually {USUAL_DEPTH_SCALES}"
+        )
+    fps = rate_of(path, None) if content.get("fps") is None else _number(path, "fps", content["fps"])
+    depth_scale = _number(path, "depth_scale", content["depth_scale"])
+    check_rate_and_scale(path, fps, depth_scale)
+    return _camera_in(path, content), fps, depth_scale
+
+
+def read_camera(path: Path) -> Camera:
+    """Read only the calibration of a JSON file, for pictures that need nothing else from it, such as a video's.
+
+    Parameters
+    ----------
+    path : Path
+        The file. It has ``width``, ``height`` and ``intrinsic_matrix`` as in an ``intrinsic.json``. Its other values are
+        ignored.
+
+    Returns
+    -------
+    Camera
+        The calibration.
+
+    Raises
+    ------
+    FileFormatError
+        The calibration cannot be used. The message names the file and the value.
+    """
+    return _camera_in(path, _read_json(path))
+
+
+def _camera_in(path: Path, content: dict) -> Camera:
+    width, height = (_number(path, name, content.get(name)) for name in ("width", "height"))
     if not (width.is_integer() and height.is_integer()):
         raise FileFormatError(f"{path}: the image size {width:g} x {height:g} is not whole")
-    matrix = content.get("intrinsic_matrix")
-    check_rate_and_scale(path, fps, units)
-    return camera_of(path, (int(width), int(height)), focal_and_centre(path, "intrinsic_matrix", matrix)), fps, units
+    values = focal_and_centre(path, "intrinsic_matrix", content.get("intrinsic_matrix"))
+    return camera_of(path, (int(width), int(height)), values)
 
 
 def focal_and_centre(path: Path, name: str, matrix: object) -> tuple[float, float, float, float]:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
-from .numbered import Abilities, NumberedFrames
+from .numbered import Abilities, FrameSource, NumberedFrames
 
 AnyFrame = TypeVar("AnyFrame", bound=RgbdFrame)
 #: Ending of the name of a source whose pictures are mirrored, as selfie videos are.
@@ -73,7 +73,7 @@ def mirrored(frame: AnyFrame) -> AnyFrame:
         frame,
         depth=np.ascontiguousarray(frame.depth[:, ::-1]),
         colour=None if frame.colour is None else np.ascontiguousarray(frame.colour[:, ::-1]),
-        camera=dataclasses.replace(camera, cx=camera.width - 1 - camera.cx),
+        camera=mirrored_camera(camera),
         features=features,
     )
 
@@ -113,6 +113,22 @@ def turned(frame: AnyFrame, quarters: int) -> AnyFrame:
     )
 
 
+def mirrored_camera(camera: Camera) -> Camera:
+    """Return the calibration that fits the pictures of a camera after they are flipped left to right.
+
+    Parameters
+    ----------
+    camera : Camera
+        The calibration of the pictures before the flip.
+
+    Returns
+    -------
+    Camera
+        The calibration of the flipped pictures.
+    """
+    return dataclasses.replace(camera, cx=camera.width - 1 - camera.cx)
+
+
 def turned_camera(camera: Camera, quarters: int) -> Camera:
     """Return the calibration that fits the pictures of a camera after they are turned.
 
@@ -136,8 +152,8 @@ def turned_camera(camera: Camera, quarters: int) -> Camera:
 class OrientedSource(NumberedFrames):
     """Mirrors and turns every frame of a source with numbered frames.
 
-    The other properties are taken from the source. Its ground truth and its path are left out, because they describe
-    unturned frames.
+    What the source declares about itself is declared here, too. Only its ground truth and its path are left out, because they
+    describe unturned frames.
 
     Parameters
     ----------
@@ -149,15 +165,26 @@ class OrientedSource(NumberedFrames):
         The number of anticlockwise quarter turns.
     """
 
-    def __init__(self, source, mirrored: bool = False, quarters: int = 0) -> None:
-        self._source, self.mirrored, self.quarters = source, mirrored, quarters
-        camera = source.camera
-        flipped = dataclasses.replace(camera, cx=camera.width - 1 - camera.cx) if mirrored else camera
-        self.camera, self.name = turned_camera(flipped, quarters), source.name
-        known = Abilities.of(source)
+    def __init__(self, source: FrameSource, mirrored: bool = False, quarters: int = 0) -> None:
+        self._source, self._known, self._flipped = source, Abilities.of(source), mirrored
+        self.quarters, self.name = quarters, source.name
+        known = self._known
+        self.mirrored = known.mirrored != mirrored
         self.fps, self.depth_scale, self.unit_file = known.fps, known.depth_scale, known.unit_file
         self.timestamps, self.notes = known.timestamps, known.notes
         self.has_features, self.colour_only = known.has_features, known.colour_only
+        self.guessed_camera = known.guessed_camera
+
+    @property
+    def camera(self) -> Camera:
+        """The calibration of the oriented frames. Setting it sets the one of the source."""
+        camera = self._source.camera
+        return turned_camera(mirrored_camera(camera) if self._flipped else camera, self.quarters)
+
+    @camera.setter
+    def camera(self, camera: Camera) -> None:
+        camera = turned_camera(camera, -self.quarters % 4)
+        self._source.camera = mirrored_camera(camera) if self._flipped else camera
 
     def __len__(self) -> int:
         return len(self._source)
@@ -165,24 +192,34 @@ class OrientedSource(NumberedFrames):
     def read(self, index: int) -> RgbdFrame:
         """Return frame ``index`` the right way round. Errors of the source are passed on."""
         frame = self._source.read(index)
-        return turned(mirrored(frame) if self.mirrored else frame, self.quarters)
+        return turned(mirrored(frame) if self._flipped else frame, self.quarters)
 
     def close(self) -> None:
-        """Close the source if it can be closed."""
-        close = getattr(self._source, "close", None)
-        if close is not None:
-            close()
+        """Close the source."""
+        self._known.close()
 
 
-def as_tracked(source, result):
+class Tracked(Protocol):
+    """A result that tells how its source was oriented, as :class:`~adaptiveface.result.Result` does."""
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the frames were flipped left to right."""
+
+    @property
+    def turned(self) -> int:
+        """The number of anticlockwise quarter turns after the flip."""
+
+
+def as_tracked(source: FrameSource | None, result: Tracked) -> FrameSource | None:
     """Flip and turn a source as it was when a result was tracked, so that pictures and meshes agree.
 
     Parameters
     ----------
     source : FrameSource or None
         The source of the pictures.
-    result : object
-        The result. Its attributes ``mirrored`` and ``turned`` are used if it has them.
+    result : Result
+        The result.
 
     Returns
     -------
@@ -191,6 +228,5 @@ def as_tracked(source, result):
     """
     if source is None:
         return None
-    flip = bool(getattr(result, "mirrored", False)) and not Abilities.of(source).mirrored
-    quarters = int(getattr(result, "turned", 0)) % 4
+    flip, quarters = result.mirrored and not Abilities.of(source).mirrored, result.turned % 4
     return OrientedSource(source, flip, quarters) if flip or quarters else source

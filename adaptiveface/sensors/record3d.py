@@ -62,7 +62,9 @@ class R3dRecording(NumberedFrames):
         The extra ``record3d`` is not installed.
     """
 
-    has_features, depth_scale = False, 10_000.0
+    path: Path
+    depth_scale: float = 10_000.0
+    timestamps: np.ndarray
 
     def __init__(self, path: str | os.PathLike) -> None:
         lzfse_module()

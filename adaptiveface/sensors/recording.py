@@ -81,6 +81,10 @@ class Recording(NumberedFrames):
         The recording cannot be used at all. The message names the file and the value.
     """
 
+    path: Path
+    depth_scale: float
+    timestamps: np.ndarray
+
     def __init__(self, path: str | os.PathLike) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
@@ -101,15 +105,11 @@ class Recording(NumberedFrames):
         times = read_timestamps(self.path / "timestamps.csv", frames, self.fps)
         self.timestamps, self.notes = times.seconds, times.notes
         self._features = read_features(self.path / "features.csv", frames)
+        self.has_features = self._features is not None
         for number, irises in read_irises(self.path / "irises.csv", frames).items():
             if self._features is not None and number in self._features:
                 self._features[number] = replace(self._features[number], irises=irises)
         self._cameras = read_frame_cameras(self.path / "intrinsics.csv", frames, self.camera)
-
-    @property
-    def has_features(self) -> bool:
-        """Whether the recording brings its own 2D features (features.csv)."""
-        return self._features is not None
 
     def __len__(self) -> int:
         return self._length

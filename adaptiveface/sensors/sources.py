@@ -1,16 +1,14 @@
-"""Define the interface of sources with numbered frames, and open one by name."""
+"""Open sources with numbered frames by name."""
 
 from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from ..errors import FileFormatError, ParameterError
-from ..geometry.camera import Camera
-from ..geometry.frame import RgbdFrame
 from ..synthetic.look import CHOICES, PERFORMER, parse_performer
 from .file_player import plays
+from .numbered import FrameSource
 from .orientation import OrientedSource, split_mirrored
 from .playback import NOISES
 from .recording import Recording
@@ -22,36 +20,6 @@ _POSSIBLE = (
     f"LIGHT: {', '.join(CHOICES['light'])}; CAMERA: {', '.join(CHOICES['camera'])}; a Live Link Face CSV to perform), "
     f"a video, colour only ({', '.join(VIDEO_SUFFIXES)}); with ',mirrored' at the end pictures are flipped"
 )
-
-
-@runtime_checkable
-class FrameSource(Protocol):
-    """A numbered sequence of RGB-D frames from one calibrated camera.
-
-    It has ``len(source)`` frames, including broken ones. ``read(index)`` returns a frame, or raises
-    :class:`adaptiveface.errors.FrameError` if it cannot be used.
-
-    A source whose frames carry 2D features declares ``has_features = True``; for other sources, the detector runs on the colour
-    images. A source without a depth camera declares ``colour_only = True``. It is then tracked in the degraded mode of
-    ``tracking/colour_tracker.py``, which nothing else switches on. :class:`.numbered.Abilities` lists what else a source may
-    declare.
-
-    Attributes
-    ----------
-    camera : Camera
-        The calibration.
-    name : str
-        For titles and file names.
-    """
-
-    camera: Camera
-    name: str
-
-    def __len__(self) -> int:
-        """Number of frames."""
-
-    def read(self, index: int) -> RgbdFrame:
-        """Frame ``index`` (0-based)."""
 
 
 def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
@@ -69,7 +37,8 @@ def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
     Returns
     -------
     FrameSource
-        With ``len()``, ``read(index)``, ``camera``, ``fps`` and ``name``.
+        The source. Those of this package are :class:`~adaptiveface.sensors.numbered.NumberedFrames`, except for the synthetic
+        sensor.
 
     Raises
     ------

@@ -12,6 +12,7 @@ from ..errors import FileFormatError, FrameError
 from ..geometry.frame import RgbdFrame
 from .capture_device import calibration_for
 from .matroska import is_plain_video
+from .numbered import NumberedFrames
 from .video_probe import MAX_BYTES, too_large
 from .video_stream import pictures, read_index
 
@@ -29,20 +30,45 @@ def is_video(path: str | os.PathLike) -> bool:
     return path.suffix.lower() != ".mkv" or is_plain_video(path)
 
 
-class VideoFile:
-    """Frames of a video: colour only, depth all 0. ``colour_only`` is True; ``camera``, ``fps``, ``name``, ``path``.
+class VideoFile(NumberedFrames):
+    """A video as a source of frames with colour only, whose depth is 0 everywhere.
 
-    ``field_of_view`` degrees across the longer side; None: of an intrinsic.json beside the file, else 60. ``mirrored``
-    flips the pictures, for videos recorded as in a mirror. ``len()``: the frames that play, without those that an edit list
-    leaves out and those behind the place where a file is cut off; ``timestamps`` (len,) s: when each is shown, from the
-    first; ``notes``: what is missing; ``guessed_camera``: no file and no field of view says what ``camera`` is. Raises
-    :class:`FileFormatError`, and :class:`MissingExtraError` without PyAV.
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    field_of_view : float, optional
+        Angle across the longer side, degrees. By default, the camera is the one of an ``intrinsic.json`` beside the file.
+        Without that file, the angle is assumed to be 60 degrees, and ``guessed_camera`` is True.
+
+    Attributes
+    ----------
+    camera : Camera
+        The calibration.
+    fps : float
+        Frames per second.
+    name : str
+        Name of the file.
+    timestamps : (F,) float64
+        When each frame is shown, s after the first one. F does not count frames that an edit list leaves out, nor those
+        behind the place where a file is cut off.
+    notes : tuple of str
+        What is missing.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be read.
+    MissingExtraError
+        PyAV is not installed.
     """
 
-    colour_only, has_features = True, False
+    colour_only = True
+    path: Path
+    timestamps: np.ndarray
 
-    def __init__(self, path: str | os.PathLike, field_of_view: float | None = None, mirrored: bool = False) -> None:
-        self.path, self.name, self.mirrored = Path(path), Path(path).name, mirrored
+    def __init__(self, path: str | os.PathLike, field_of_view: float | None = None) -> None:
+        self.path, self.name = Path(path), Path(path).name
         self._pictures: Iterator[tuple[int | None, np.ndarray]] | None = None
         self._found: tuple[int, np.ndarray] | None = None  # the frame decoded last
         if not self.path.is_file():
@@ -73,9 +99,8 @@ class VideoFile:
             raise FrameError(f"{self.path}: frame {index} cannot be decoded")
         if picture.shape[:2] != (self.camera.height, self.camera.width):
             raise FrameError(f"{self.path}: frame {index} has another size than the first one")
-        colour = np.ascontiguousarray(picture[:, ::-1]) if self.mirrored else picture
         depth = np.zeros(picture.shape[:2], np.float32)
-        return RgbdFrame(depth, self.camera, colour, index, float(self.timestamps[index]))
+        return RgbdFrame(depth, self.camera, picture, index, float(self.timestamps[index]))
 
     def close(self) -> None:
         """Release the file; reading opens it again."""

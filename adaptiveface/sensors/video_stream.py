@@ -70,7 +70,7 @@ def _opened(path: Path) -> Iterator[tuple]:
             stream.thread_type = "AUTO"
             yield container, stream
     except (av.error.FFmpegError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = (error.strerror if isinstance(error, av.error.FFmpegError) else "") or str(error)
         raise FileFormatError(f"{path}: not a video that can be decoded, or one without pictures ({reason})") from None
 
 
