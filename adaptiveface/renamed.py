@@ -72,6 +72,12 @@ OLD_MODULES = {
         "rows": "result.rows",
         "stages": "parameters.stages",
         "timing": "runtime.timing",
+        "importers.obj": "formats.obj",
+        "export.gltf_edit": "formats.gltf.edit",
+        **{
+            f"retargeting.gltf_{name}": f"formats.gltf.{name}"
+            for name in ("bones", "compressed", "container", "file", "nodes", "pieces")
+        },
         **{f"views.{name}": f"studies.{name}" for name in ("measures", "recorded", "session")},
     }.items()
 }

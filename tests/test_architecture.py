@@ -14,7 +14,7 @@ import adaptiveface
 PACKAGE = Path(__file__).resolve().parents[1] / "adaptiveface"
 #: From the ground up; docs/redraw.py draws the table of docs/architecture.md from it.
 FLOORS = {
-    "ground": ("errors", "renamed", "files", "caches", "runtime", "parameters", "geometry", "lab", "livelink"),
+    "ground": ("errors", "renamed", "files", "caches", "runtime", "parameters", "geometry", "lab", "livelink", "formats"),
     "faces": ("model", "insides"),
     "where frames come from": ("synthetic", "sensors", "landmarks"),
     "alignment": ("registration",),

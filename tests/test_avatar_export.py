@@ -32,8 +32,8 @@ from adaptiveface.export.animation import character_animation
 from adaptiveface.export.avatar import ANIMATION, Avatar
 from adaptiveface.export.avatar_motion import NECK_SHARE
 from adaptiveface.export.gltf import write_glb
+from adaptiveface.formats.gltf import compressed
 from adaptiveface.livelink.convention import EYE_PITCH, EYE_YAW
-from adaptiveface.retargeting import gltf_compressed
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
 from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import Performance
@@ -438,7 +438,7 @@ def test_peoples_avatars_are_passed_on(tmp_path, performance, modules, monkeypat
     if library:
         pytest.importorskip("DracoPy"), pytest.importorskip("meshopt")
     else:
-        monkeypatch.setattr(gltf_compressed, "_library", lambda name: None)
+        monkeypatch.setattr(compressed, "_library", lambda name: None)
     path = AVATARS / name
     person = Avatar(path)
     assert (person.face is None) == (not library and name != "ready_player_me.glb")

@@ -11,7 +11,7 @@ from avatar_files import PRESET_SHAPES, Glb, avatar, head, plain_head, vrm_with_
 
 from adaptiveface import cli
 from adaptiveface.errors import FileFormatError, MissingExtraError
-from adaptiveface.retargeting import gltf_compressed
+from adaptiveface.formats.gltf import compressed
 from adaptiveface.retargeting.arkit import ARKIT_NAMES
 from adaptiveface.retargeting.character import Character
 from adaptiveface.retargeting.loading import load_character
@@ -490,7 +490,7 @@ def test_compressed_heads_are_the_same_heads(tmp_path, compress):
 @pytest.mark.parametrize(("compress", "package"), [(draco, "DracoPy"), (meshopt, "meshopt")])
 def test_without_the_library_the_exact_pip_line_is_said(tmp_path, monkeypatch, compress, package):
     path = compress(plain_head()).save(tmp_path / "packed.glb")
-    monkeypatch.setattr(gltf_compressed, "_library", lambda name: None)
+    monkeypatch.setattr(compressed, "_library", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"packed\.glb.*pip install 'adaptiveface\[avatars\]'"):
         load_character(path)
 

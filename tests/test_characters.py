@@ -19,7 +19,7 @@ from adaptiveface.errors import FileFormatError, ParameterError
 from adaptiveface.export.animation import character_animation
 from adaptiveface.export.arkit_csv import read_arkit_csv
 from adaptiveface.export.gltf import write_glb
-from adaptiveface.export.obj_sequence import write_obj
+from adaptiveface.formats.obj import write_obj
 from adaptiveface.geometry.mesh import boundary_edges, surface_points
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.retargeting import BUILT_IN

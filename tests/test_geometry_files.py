@@ -12,9 +12,10 @@ from written import read_obj_sequence, read_point_cache
 
 from adaptiveface import cli
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
-from adaptiveface.export.obj_sequence import obj_text, sequence_bytes, write_obj_sequence
+from adaptiveface.export.obj_sequence import sequence_bytes, write_obj_sequence
 from adaptiveface.export.point_cache import cache_bytes, write_point_cache
-from adaptiveface.retargeting import UNITS
+from adaptiveface.formats import UNITS
+from adaptiveface.formats.obj import obj_text
 
 FRAMES = (0, 7, 15, 23)
 NEAR = 0.05  # mm

@@ -140,7 +140,7 @@ def test_ict_facekit_with_given_features(ict_folder, foreign, tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("generic_neutral_mesh.obj", "v 1 2 3\nf 1 2 3\n", "faces do not point"),
+        ("generic_neutral_mesh.obj", "v 1 2 3\nf 1 2 3\n", "points outside 1..1"),
         ("generic_neutral_mesh.obj", "hello\n", "not an OBJ file"),
         ("generic_neutral_mesh.obj", "v 1 2 x\n", "three numbers"),
         ("generic_neutral_mesh.obj", "v 1 2\nv 3 4\n", "not an OBJ"),

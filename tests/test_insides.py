@@ -18,12 +18,12 @@ from adaptiveface.export.inside_parts import TOLERANCE, actor_insides, with_insi
 from adaptiveface.export.obj_sequence import write_obj_sequence
 from adaptiveface.export.point_cache import write_point_cache
 from adaptiveface.export.video import PANEL, tracked_panel
+from adaptiveface.formats.gltf.file import GltfFile
 from adaptiveface.geometry.frame import FEATURE_IDS
 from adaptiveface.geometry.mesh import rotation_vector_matrix, surface_points
 from adaptiveface.insides import make_insides
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.report.pictures import Portraits
-from adaptiveface.retargeting.gltf_file import GltfFile
 
 
 @pytest.fixture(scope="module")

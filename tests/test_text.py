@@ -16,11 +16,11 @@ from written import write_obj_shapes
 
 from adaptiveface.cli import main
 from adaptiveface.files import decoded, read_text
+from adaptiveface.formats.obj import read_obj, read_obj_vertices
 from adaptiveface.importers.assemble import read_feature_vertices
-from adaptiveface.importers.obj import obj_vertices, read_lines
 from adaptiveface.lab import copy_notebooks, lab_command
 from adaptiveface.result import Result
-from adaptiveface.retargeting.obj_folder import load_obj_folder, read_obj
+from adaptiveface.retargeting.obj_folder import load_obj_folder
 from adaptiveface.sensors import Recording
 
 JAPANESE = "\u30c6\u30b9\u30c8-caf\u00e9"
@@ -104,7 +104,7 @@ def test_an_obj_folder_as_other_systems_leave_it(tmp_path, encoding):
     assert again.expression_names == plain.expression_names
     np.testing.assert_allclose(again.neutral, plain.neutral, atol=1e-4)
     path = tmp_path / "face" / "neutral.obj"
-    assert len(read_obj(path)[0]) == len(obj_vertices(read_lines(path), path)) == len(actor.neutral)
+    assert len(read_obj(path)[0]) == len(read_obj_vertices(path)) == len(actor.neutral)
 
 
 @pytest.mark.parametrize("encoding", MARKS)

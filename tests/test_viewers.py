@@ -13,8 +13,8 @@ from viewer_pages import page
 
 from adaptiveface.export.animation import AnimatedMesh, actor_animation, character_animation
 from adaptiveface.export.gltf import write_glb
+from adaptiveface.formats.gltf.file import GltfFile
 from adaptiveface.geometry.mesh import transform_points
-from adaptiveface.retargeting.gltf_file import GltfFile
 from adaptiveface.retargeting.loading import load_character
 from adaptiveface.retargeting.retarget import retarget
 

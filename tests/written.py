@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from adaptiveface.errors import FileFormatError
 from adaptiveface.export.animation import METRES, AnimatedMesh
-from adaptiveface.export.obj_sequence import _FRAME, write_obj
+from adaptiveface.export.obj_sequence import _FRAME
 from adaptiveface.export.point_cache import _MAGIC, _PC2
 from adaptiveface.export.usd import _pxr
 from adaptiveface.files import open_regular, read_bytes, replacing_folder
-from adaptiveface.retargeting import UNITS
-from adaptiveface.retargeting.gltf_file import GltfFile
-from adaptiveface.retargeting.obj_folder import read_obj
+from adaptiveface.formats import UNITS
+from adaptiveface.formats.gltf.file import GltfFile
+from adaptiveface.formats.obj import read_obj, write_obj
 
 _UNIT = re.compile(r"# adaptiveface: lengths in (\w+)")
 MAX_BYTES = 1 << 30

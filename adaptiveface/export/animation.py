@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry.mesh import transform_points, vertex_normals
+from ..geometry.mesh import transform_points
 from ..model.actor import Actor
 from ..renamed import renamed
 from ..result import Result
@@ -21,6 +21,8 @@ METRES = 1e-3
 SKIN = (204, 168, 149)
 #: Camera frame (y down, z forward) to the frame of glTF and USD (y up, z towards the viewer).
 CAMERA_TO_VIEW = np.diag([1.0, -1.0, -1.0])
+#: Share of the head's rotation that the neck of an avatar takes. The head's bone adds the rest.
+NECK_SHARE = 0.4
 
 
 @renamed
@@ -109,19 +111,6 @@ class AnimatedMesh:
     def centre(self) -> np.ndarray:
         """(3,) median position of the head in the view frame, mm, which files put at the origin."""
         return np.median(self.head_pose[:, :3, 3], axis=0)
-
-
-def linear_colours(colours: np.ndarray) -> np.ndarray:
-    """Convert sRGB (..., 3), 0 to 255, to linear light (..., 3), 0 to 1."""
-    colours = np.asarray(colours, float)
-    return np.where(colours <= 10, colours / 3294.6, ((colours / 255 + 0.055) / 1.055) ** 2.4)
-
-
-def unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(V, 3) float32 normals of unit length; (0, 0, 1) for a vertex without triangles."""
-    normals = vertex_normals(vertices, triangles).astype(np.float32)
-    normals[np.linalg.norm(normals, axis=1) < 0.5] = (0.0, 0.0, 1.0)
-    return normals
 
 
 def size_text(vertices: np.ndarray) -> str:

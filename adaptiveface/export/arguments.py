@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..retargeting import BUILT_IN, DRIVERS, UNITS
+from ..formats import UNITS
+from ..retargeting import BUILT_IN, DRIVERS
 
 #: format -> what the output's name ends in ("": a folder).
 FORMATS = {

@@ -8,17 +8,17 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..files import check_no_input
+from ..formats import UNITS
+from ..formats.gltf.container import extensions
+from ..formats.gltf.edit import GltfEdit
+from ..formats.gltf.file import GltfFile
+from ..formats.gltf.nodes import Nodes
 from ..retargeting.character import Character
 from ..retargeting.face_rig import FaceRig, face_rig
 from ..retargeting.gltf_character import OpenFace, open_face, rest_weights
-from ..retargeting.gltf_container import extensions
-from ..retargeting.gltf_file import GltfFile
-from ..retargeting.gltf_nodes import Nodes
 from ..retargeting.retarget import Performance
-from ..retargeting.units import METRES
 from ..runtime.timing import increasing
 from .avatar_motion import avatar_motion, local_rotation
-from .gltf_edit import GltfEdit
 
 #: Name of the animation that is added. It gets a number if the file already has one of that name.
 ANIMATION = "performance"
@@ -32,7 +32,7 @@ class Avatar:
     """
 
     def __init__(self, path: str | Path, unit: float | None = None) -> None:
-        self.unit = METRES if unit is None else unit
+        self.unit = UNITS["m"] if unit is None else unit
         self.file = GltfFile(Path(path))
         self.face: OpenFace | None = None
         with self.file.errors():

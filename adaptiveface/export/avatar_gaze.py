@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import FileFormatError
+from ..formats.gltf.container import GltfContainer, extensions
 from ..livelink.convention import angles, rotations
-from ..retargeting.gltf_container import GltfContainer, extensions
 
 #: Directions of gaze for each eye: yaw to the subject's left and right, pitch down and up.
 _OUTER, _INNER, _DOWN, _UP = "HorizontalOuter", "HorizontalInner", "VerticalDown", "VerticalUp"

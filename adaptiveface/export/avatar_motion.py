@@ -12,18 +12,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..formats.gltf.bones import find_bones, find_eyes
+from ..formats.gltf.container import looks_back
+from ..formats.gltf.file import GltfFile
+from ..formats.gltf.nodes import Nodes
+from ..formats.quaternions import quaternion_matrix, quaternions
 from ..livelink.convention import eye_angles, rotations
-from ..retargeting.gltf_bones import find_bones, find_eyes
-from ..retargeting.gltf_character import OpenFace, looks_back
-from ..retargeting.gltf_file import GltfFile
-from ..retargeting.gltf_nodes import Nodes, quaternion_matrix
+from ..retargeting.gltf_character import OpenFace
 from ..retargeting.retarget import Performance
-from .animation import view_motion
+from .animation import NECK_SHARE, view_motion
 from .avatar_gaze import gaze_by_expressions, reached
-from .gltf import quaternions
-
-#: Share of the head's rotation that the neck's bone takes.
-NECK_SHARE = 0.4
 
 
 @dataclass

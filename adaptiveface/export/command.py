@@ -10,15 +10,16 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..files import check_output, check_output_folder
+from ..formats import UNITS
 from ..livelink.take import is_take
 from ..model.actor import Actor
 from ..result import Result
-from ..retargeting import COEFFICIENTS, UNITS
+from ..retargeting import COEFFICIENTS
 from ..retargeting.arkit import arkit_weights
 from ..retargeting.arkit_resolve import has_units
-from ..retargeting.character import Character, is_gltf
+from ..retargeting.character import Character
 from ..retargeting.correctives import carried_correctives
-from ..retargeting.loading import load_character
+from ..retargeting.loading import is_gltf, load_character
 from ..retargeting.retarget import coverage, driving_names, retarget
 from ..retargeting.smoothing import FILTERS, Smoothing
 from ..runtime.timing import clean_times, increasing

@@ -11,11 +11,10 @@ from scipy.spatial.transform import Rotation
 from ..livelink import ARKIT_NAMES
 from ..livelink.convention import angles, eye_angles, rotations
 from ..retargeting.vrm_presets import PRESETS, VRM0_NAMES, preset_weights
+from .animation import NECK_SHARE
 
 Message = tuple[str, list]
 
-#: The part of the head's turn that the neck takes; the head takes the rest.
-NECK_SHARE = 0.4
 #: The bones that are sent, by VRM's names, with their positions relative to their parents in an adult avatar of VRoid
 #: Studio: metres, x to the avatar's left, y up, z forward. A receiver sets the bone to the position in the message, so that
 #: a position of zero would pull the head into the neck.
@@ -104,18 +103,16 @@ def read_avatar(path: Path, moves: bool = False) -> VmcAvatar:
     An avatar that knows ARKit's names is sent only those, because presets would move its face a second time. Raises
     :class:`FileFormatError`.
     """
+    from ..formats.gltf.bones import find_bones
+    from ..formats.gltf.container import GltfContainer, looks_back
+    from ..formats.gltf.nodes import Nodes
     from ..retargeting.face_rig import face_rig
-    from ..retargeting.gltf_bones import find_bones
-    from ..retargeting.gltf_container import GltfContainer, extensions
-    from ..retargeting.gltf_nodes import Nodes
 
     file = GltfContainer(path)
     with file.errors():
         nodes = Nodes(file)
         found = {name.title().replace(" ", ""): number for name, number in find_bones(file, nodes).items()}
-        turned = (
-            np.array([-1.0, 1.0, -1.0]) if "VRM" in extensions(file.document) else np.ones(3)
-        )  # avatars of VRM 0.x look along -z
+        turned = np.array([-1.0, 1.0, -1.0]) if looks_back(file) else np.ones(3)
         offsets = dict(OFFSETS)
         for name, number in found.items():
             above = nodes.world[nodes.parent[number]][:3, 3] if number in nodes.parent else np.zeros(3)

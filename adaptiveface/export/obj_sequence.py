@@ -6,40 +6,12 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
-
-from ..files import replacing, replacing_folder
-from ..retargeting import UNITS
-from .animation import AnimatedMesh, unit_normals
+from ..files import replacing_folder
+from ..formats.obj import obj_text, write_obj
+from .animation import AnimatedMesh
 
 #: Importers of sequences need a common prefix. Earlier versions wrote none.
 _FRAME = re.compile(r"(?:face_)?\d{5,}\.obj")
-
-
-def obj_text(vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm") -> str:
-    """An OBJ file of vertices (V, 3) mm and triangles (T, 3), with smooth normals, in ``unit`` (:data:`UNITS`).
-
-    Colours (V, 3) uint8 follow the coordinates, in the form that many programs read.
-    """
-    points, digits = vertices / UNITS[unit], {"mm": 4, "cm": 5, "m": 7}[unit]
-    number = f"{{:.{digits}f}}"
-    if colours is None:
-        lines = [f"v {number} {number} {number}".format(*row) for row in points.tolist()]
-    else:
-        form = f"v {number} {number} {number} {{:.3f}} {{:.3f}} {{:.3f}}"
-        lines = [form.format(*row) for row in np.hstack([points, colours / 255]).tolist()]
-    normals = unit_normals(vertices, triangles)
-    lines += ["vn {:.3f} {:.3f} {:.3f}".format(*row) for row in normals.tolist()]
-    lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (triangles + 1).tolist()]
-    return "\n".join([f"# adaptiveface: lengths in {unit}", "s 1", *lines]) + "\n"
-
-
-def write_obj(
-    path: str | Path, vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray | None = None, unit: str = "mm"
-) -> None:
-    """Write :func:`obj_text`, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(obj_text(vertices, triangles, colours, unit), encoding="ascii")
 
 
 def is_of_sequence(name: str) -> bool:

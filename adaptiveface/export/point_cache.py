@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from ..files import replacing
-from ..retargeting import UNITS
+from ..formats import UNITS
+from ..formats.obj import write_obj
 from .animation import AnimatedMesh
-from .obj_sequence import write_obj
 
 _PC2 = struct.Struct("<12siiffi")
 _MAGIC = b"POINTCACHE2\0"

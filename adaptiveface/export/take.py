@@ -9,10 +9,11 @@ import numpy as np
 from tqdm import tqdm
 
 from ..errors import ParameterError
+from ..formats import UNITS
 from ..livelink import ARKIT_NAMES, LiveLinkTake, read_take
-from ..retargeting import BUILT_IN, UNITS
-from ..retargeting.character import Character, is_gltf
-from ..retargeting.loading import load_character
+from ..retargeting import BUILT_IN
+from ..retargeting.character import Character
+from ..retargeting.loading import is_gltf, load_character
 from ..retargeting.retarget import Performance, undriven
 from ..retargeting.smoothing import FILTERS, Smoothing
 from .animation import AnimatedMesh, character_animation

@@ -16,8 +16,9 @@ import numpy as np
 
 from ..errors import MissingExtraError
 from ..files import replacing
-from .animation import METRES, SKIN, AnimatedMesh, linear_colours, unit_normals
-from .gltf import quaternions
+from ..formats.quaternions import quaternions
+from ..formats.surface import linear_colours, normal_changes, unit_normals
+from .animation import METRES, SKIN, AnimatedMesh
 
 
 def _pxr():
@@ -157,8 +158,7 @@ def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str], taken: tuple[s
     targets = []
     for label, name, target in zip(mesh.target_names, names, mesh.targets, strict=True):
         shape = UsdSkel.BlendShape.Define(stage, f"{body.GetPath()}/{name}")
-        turned = unit_normals(mesh.neutral + target, mesh.triangles) - normals
-        turned[np.abs(turned).max(axis=1) < 1e-4] = 0.0
+        turned = normal_changes(mesh.neutral, target, mesh.triangles, normals)
         moving = np.flatnonzero((target != 0).any(axis=1) | turned.any(axis=1))
         shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy((METRES * target[moving]).astype(np.float32)))
         shape.CreateNormalOffsetsAttr(Vt.Vec3fArray.FromNumpy(turned[moving]))

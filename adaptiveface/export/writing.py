@@ -9,7 +9,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..retargeting.character import Character, is_gltf
+from ..retargeting.character import Character
+from ..retargeting.loading import is_gltf
 from ..retargeting.retarget import Performance
 from ..retargeting.smoothing import Smoothing
 from .animation import AnimatedMesh, size_text

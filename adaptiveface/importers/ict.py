@@ -14,9 +14,9 @@ from tqdm import tqdm
 
 from ..errors import FileFormatError
 from ..files import is_own
+from ..formats.obj import read_obj, read_obj_vertices
 from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
-from .obj import obj_triangles, obj_vertices, read_lines
 
 NEUTRAL = "generic_neutral_mesh.obj"
 MM_PER_UNIT = 10.0
@@ -33,9 +33,7 @@ def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_
     """
     folder = Path(folder)
     neutral = folder / NEUTRAL
-    lines = read_lines(neutral)
-    mean = obj_vertices(lines, neutral)
-    triangles = obj_triangles(lines, neutral, len(mean))
+    mean, triangles = read_obj(neutral)
     check_size(neutral, len(mean), len(triangles))
     identities = _numbered(folder)[:identity_modes]
     targets = sorted(p for p in folder.glob("*.obj") if is_own(p) and p.name != NEUTRAL and not p.stem.startswith("identity"))
@@ -68,7 +66,7 @@ def _numbered(folder: Path) -> list[Path]:
 
 
 def _offset(path: Path, mean: np.ndarray) -> np.ndarray:
-    points = obj_vertices(read_lines(path), path)
+    points = read_obj_vertices(path)
     if points.shape != mean.shape:
         raise FileFormatError(f"{path}: {len(points)} vertices; {NEUTRAL} has {len(mean)}")
     return (MM_PER_UNIT * (points - mean)).astype(np.float32)

@@ -7,5 +7,3 @@ BUILT_IN = ("baby", "hag", "ogre")
 COEFFICIENTS = ("resolved", "initial")
 #: The same, or ARKit's own shapes re-solved from v4 (:mod:`~adaptiveface.retargeting.arkit_resolve`).
 DRIVERS = ("arkit", *COEFFICIENTS)
-#: Millimetres per unit of length, as ``--unit`` names them.
-UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}

@@ -15,7 +15,6 @@ from ..files.npz import write_npz
 from ..files.records import array, arrays, read, record
 from ..geometry.polydata import expression_weights, surface
 from ..renamed import old_objects
-from . import BUILT_IN
 from .arkit import ARKIT_NAMES, canonical_name
 from .shape_names import driven_shapes
 
@@ -171,12 +170,6 @@ def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Char
         file.skin,
         mix=file.mix,
     )
-
-
-def is_gltf(source: str | os.PathLike) -> bool:
-    """Whether a character is a .glb, .gltf or .vrm file."""
-    path = Path(source)
-    return os.fspath(source) not in BUILT_IN and path.suffix.lower() in (".glb", ".gltf", ".vrm") and not path.is_dir()
 
 
 def make_character(

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..formats.gltf.container import GltfContainer, extensions, extras
 from .arkit import ARKIT_NAMES, canonical_name
-from .gltf_container import GltfContainer, extensions, extras
 from .shape_names import arkit_row, driven_shapes
 from .vrm_presets import preset_name, preset_row
 

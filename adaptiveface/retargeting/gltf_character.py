@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ..formats import UNITS
+from ..formats.gltf.bones import find_bones
+from ..formats.gltf.container import looks_back
+from ..formats.gltf.file import GltfFile
+from ..formats.gltf.nodes import Nodes
+from ..formats.gltf.pieces import Piece, read_pieces
 from .arkit import ARKIT_NAMES
 from .character import Character
 from .face_rig import Expression, FaceRig, face_rig
-from .gltf_bones import find_bones
-from .gltf_container import extensions
-from .gltf_file import GltfFile
-from .gltf_nodes import Nodes
-from .gltf_pieces import Piece, read_pieces
-from .units import LARGEST_HEAD, METRES, size_note
+from .units import LARGEST_HEAD, size_note
 
 _GAZE = np.array([name.startswith("eyeLook") for name in ARKIT_NAMES])
 
@@ -43,7 +44,7 @@ def load_gltf_character(path: str | Path, unit: float | None = None) -> Characte
     file = GltfFile(Path(path))
     with file.errors():
         rig = face_rig(file)
-        face = open_face(file, Nodes(file), rig, METRES if unit is None else unit)
+        face = open_face(file, Nodes(file), rig, UNITS["m"] if unit is None else unit)
         return replace(face.character, notes=face.character.notes + face.left_out)
 
 
@@ -134,11 +135,6 @@ class _Holders:
     def carrier(self) -> int | None:
         """The joint that holds most."""
         return int(max(self._held, key=self._held.__getitem__)) if self._held else None
-
-
-def looks_back(file: GltfFile) -> bool:
-    """Whether the face looks along -z, as VRM 0.x demands."""
-    return "VRM" in extensions(file.document) and "VRMC_vrm" not in extensions(file.document)
 
 
 def rest_weights(file: GltfFile, nodes: Nodes, rig: FaceRig, node: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import ParameterError
 from . import BUILT_IN
-from .character import Character, is_gltf, load_character_npz
+from .character import Character, load_character_npz
 
 
 def load_character(source: str | os.PathLike, unit: float | None = None) -> Character:
@@ -52,3 +52,9 @@ def load_character(source: str | os.PathLike, unit: float | None = None) -> Char
         f"character '{text[:200]}': neither built in ({', '.join(BUILT_IN)}) nor a .glb, .gltf, .vrm or .npz file or a "
         "folder of OBJ files"
     )
+
+
+def is_gltf(source: str | os.PathLike) -> bool:
+    """Whether a character is a .glb, .gltf or .vrm file."""
+    path = Path(source)
+    return os.fspath(source) not in BUILT_IN and path.suffix.lower() in (".glb", ".gltf", ".vrm") and not path.is_dir()

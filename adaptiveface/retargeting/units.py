@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import UNITS
-
-#: Millimetres in glTF's unit of length.
-METRES = UNITS["m"]
 #: Usual heights of a head, with neck or bust, mm.
 SMALLEST_HEAD, LARGEST_HEAD = 80.0, 600.0
 #: Millimetres per unit that files come in, and the largest extent of a head, with neck or bust, in mm.

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from .gltf_compressed import Compressed
-from .gltf_container import MAX_FILE_BYTES, GltfContainer
+from .compressed import Compressed
+from .container import MAX_FILE_BYTES, GltfContainer
 
 MAX_VALUES = 100_000_000
 #: Values that are zero without any data in the file: this many, and so many more for every byte of it.
 FREE_ZEROS, ZEROS_PER_BYTE = 10_000_000, 64
 _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+#: Number of a component type in files, and the type.
+COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 #: Kinds of primitives that are made of triangles.
 TRIANGLES, STRIP, FAN = 4, 5, 6
 
@@ -44,10 +45,10 @@ class GltfFile(GltfContainer):
     def layout(self, index) -> tuple[dict, np.dtype, int, int]:
         """The accessor's entry, its component type, its width (3 for VEC3) and its number of elements."""
         entry = self.item("accessors", index)
-        if entry.get("componentType") not in _COMPONENTS or entry.get("type") not in _TYPES:
+        if entry.get("componentType") not in COMPONENTS or entry.get("type") not in _TYPES:
             raise self.error(f"accessor {index} has an unknown component type or type")
         count = self.whole(entry, "count", 1, MAX_VALUES)
-        return entry, np.dtype(_COMPONENTS[entry["componentType"]]), _TYPES[entry["type"]], count
+        return entry, np.dtype(COMPONENTS[entry["componentType"]]), _TYPES[entry["type"]], count
 
     def accessor(self, index, count: int | None = None) -> np.ndarray:
         """(count, width) float32 or integers of an accessor; normalised integers become floats.
@@ -91,7 +92,7 @@ class GltfFile(GltfContainer):
         indices, data = sparse["indices"], sparse["values"]
         if indices.get("componentType") not in (5121, 5123, 5125):
             raise self.error("sparse indices of an unknown component type")
-        kind = np.dtype(_COMPONENTS[indices["componentType"]])
+        kind = np.dtype(COMPONENTS[indices["componentType"]])
         offset = self.whole(indices, "byteOffset", 0, MAX_FILE_BYTES, 0)
         at = self._view(indices["bufferView"], kind, 1, count, offset)[:, 0]
         if at.max() >= len(values):

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import MissingExtraError
-from .gltf_container import MAX_FILE_BYTES, extensions
+from ...errors import MissingExtraError
+from .container import MAX_FILE_BYTES, extensions
 
 if TYPE_CHECKING:
-    from .gltf_file import GltfFile
+    from .file import GltfFile
 
 DRACO = "KHR_draco_mesh_compression"
 #: The second is the name under which Khronos took the first over.

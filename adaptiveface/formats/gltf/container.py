@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import base64
 import binascii
+import os
 import struct
+from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 from urllib.parse import unquote
 
-from ..errors import AdaptiveFaceError, FileFormatError
-from ..files import parse_json, read_bytes
+from ...errors import AdaptiveFaceError, FileFormatError
+from ...files import parse_json, read_bytes
 
 #: Of the file and all files beside it that it names.
 MAX_FILE_BYTES = 256 << 20
 MAX_JSON_BYTES = 64 << 20
 MAX_ITEMS = 100_000
 MAX_CHUNKS = 16
+
+Buffer = bytes | bytearray | memoryview
 
 
 class GltfContainer:
@@ -181,3 +186,36 @@ def extensions(entry: dict) -> dict:
     """The ``extensions`` of a glTF object; {} where they are absent or null."""
     value = entry.get("extensions")
     return value if isinstance(value, dict) else {}
+
+
+def looks_back(file: GltfContainer) -> bool:
+    """Whether the face looks along -z, as VRM 0.x demands."""
+    return "VRM" in extensions(file.document) and "VRMC_vrm" not in extensions(file.document)
+
+
+def write_chunks(stream: BinaryIO, path: str | os.PathLike, chunks: Sequence[tuple[bytes, Sequence[Buffer]]]) -> None:
+    """Write the content of a ``.glb``.
+
+    Parameters
+    ----------
+    stream : binary file
+        Where to write.
+    path : path-like
+        Name of the file, for messages.
+    chunks : sequence of (kind, parts)
+        Kind and content of each chunk, JSON first. Every chunk is padded to a multiple of four bytes.
+
+    Raises
+    ------
+    FileFormatError
+        The file would have 4 GiB or more, which its header cannot say.
+    """
+    sizes = [sum(map(len, parts)) for _, parts in chunks]
+    total = 12 + sum(8 + size + -size % 4 for size in sizes)
+    if total >= 1 << 32:
+        raise FileFormatError(f"{os.fspath(path)}: {total >> 20} MiB do not fit into a .glb file; export fewer frames")
+    stream.write(struct.pack("<4sII", b"glTF", 2, total))
+    for (kind, parts), size in zip(chunks, sizes, strict=True):
+        stream.write(struct.pack("<I4s", size + -size % 4, kind))
+        for part in (*parts, (b" " if kind == b"JSON" else b"\0") * (-size % 4)):
+            stream.write(part)

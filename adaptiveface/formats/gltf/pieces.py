@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .gltf_file import FAN, TRIANGLES, GltfFile
-from .gltf_nodes import Nodes
+from ..surface import srgb_colours
+from .file import FAN, TRIANGLES, GltfFile
+from .nodes import Nodes
 
 MAX_PRIMITIVES = 2000
 #: Sets of four joints that may hold a vertex.
@@ -114,7 +115,7 @@ def _piece(file: GltfFile, nodes: Nodes, number: int, primitive: dict) -> Piece:
     linear = transform[..., :3, :3]
     if np.median(np.linalg.det(linear)) < 0:  # a mirrored node turns triangles inside out
         triangles = triangles[:, ::-1]
-    colours = _srgb(attribute("COLOR_0", count)[:, :3]) if "COLOR_0" in primitive["attributes"] else None
+    colours = srgb_colours(attribute("COLOR_0", count)[:, :3]) if "COLOR_0" in primitive["attributes"] else None
     return Piece(number, node["mesh"], primitive, vertices, linear, triangles, colours, joints, shares, np.arange(count), count)
 
 
@@ -141,9 +142,3 @@ def _skinned(file: GltfFile, nodes: Nodes, skin, slots: np.ndarray, shares: np.n
 
 def _turned(linear: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return vectors @ linear.T if linear.ndim == 2 else np.einsum("vij,vj->vi", linear, vectors)
-
-
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    linear = np.clip(linear.astype(float), 0, 1)
-    curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255 * curved).astype(np.uint8)

@@ -8,15 +8,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
-import struct
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError
-from ..files import replacing
-from ..retargeting.gltf_container import GltfContainer
+from ...errors import FileFormatError
+from ...files import replacing
+from .container import GltfContainer, write_chunks
 
 _FLOAT = 5126
 _WHOLE = "application/octet-stream"
@@ -140,18 +138,11 @@ class GltfEdit:
 
     def _write_binary(self, stream, whole: list) -> None:
         text = json.dumps(self.document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
-        chunks: list[tuple[bytes, list]] = [(b"JSON", [text, b" " * (-len(text) % 4)])]
+        chunks: list[tuple[bytes, list]] = [(b"JSON", [text])]
         if whole:
-            chunks.append((b"BIN\0", [*whole, b"\0" * (-sum(map(len, whole)) % 4)]))
+            chunks.append((b"BIN\0", whole))
         chunks += [(kind, [body]) for kind, body in self.file.chunks if kind != b"BIN\0"]
-        total = 12 + sum(8 + sum(map(len, parts)) for _, parts in chunks)
-        if total >= 1 << 32:
-            raise FileFormatError(f"{os.fspath(self.out)}: {total >> 20} MiB do not fit into a .glb file")
-        stream.write(struct.pack("<4sII", b"glTF", 2, total))
-        for kind, parts in chunks:
-            stream.write(struct.pack("<I4s", sum(map(len, parts)), kind))
-            for part in parts:
-                stream.write(part)
+        write_chunks(stream, self.out, chunks)
 
 
 def _data_uri(data: bytes, kind: str) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .gltf_container import GltfContainer
+from ..quaternions import quaternion_matrix
+from .container import GltfContainer
 
 #: Joints of a skin at most; real ones have a few hundred.
 MAX_JOINTS = 10_000
@@ -118,16 +119,3 @@ class Nodes:
         if not (np.abs(out) < 1e9).all():
             raise self._file.error("a node's transform is not finite")
         return out
-
-
-def quaternion_matrix(quaternion: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation of a quaternion x y z w of any length."""
-    x, y, z, w = quaternion
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    return np.array(
-        [
-            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
-            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
-        ]
-    )

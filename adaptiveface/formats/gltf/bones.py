@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from .gltf_container import GltfContainer, extensions
-from .gltf_nodes import Nodes
+from .container import GltfContainer, extensions
+from .nodes import Nodes
 
 #: Words in bone names that say which rig they come from, not which bone they are.
 _RIG = set(
