@@ -70,6 +70,8 @@ def test_of_a_short_take_the_neutral_frames_are_tracked_as_well(tmp_path, capsys
         views.load_session(tmp_path / "take", neutral_frames=range(100, 140))
     with pytest.raises(AdaptiveFaceError, match="none of the frames from 8 on can be used; it has 8"):
         views.load_session(tmp_path / "take", first=8)
+    with pytest.raises(AdaptiveFaceError, match="neutral_frames = 0: at least 1 frame of take must show the face at rest"):
+        views.load_session(tmp_path / "take", neutral_frames=0)
 
 
 def test_a_doubtful_neutral_is_said_plainly(session):

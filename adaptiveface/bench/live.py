@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from ..errors import TrackingError
+from ..geometry.frame import Features2D, RgbdFrame
 from ..landmarks import FeatureDetector
 from ..live import FeatureFeed, LiveResult, LiveSession
 from ..model.actor import Actor
@@ -30,23 +31,19 @@ from .scene import SEED
 WARM_UP_SECONDS = 5.0
 
 
-class TimedDetector:
-    """A feature detector that keeps the time of every detection, ms."""
+class TimedDetector(FeatureDetector):
+    """The detector of live capture, which here keeps the time of every detection in ``ms``."""
 
     def __init__(self) -> None:
-        self._detector = FeatureDetector(video=True)
+        super().__init__(video=True)
         self.ms: list[float] = []
 
-    def detect(self, frame):
-        """As the detector's own."""
+    def detect(self, frame: RgbdFrame) -> Features2D | None:
+        """Find the features as :meth:`FeatureDetector.detect` does."""
         start = time.perf_counter()
-        features = self._detector.detect(frame)
+        features = super().detect(frame)
         self.ms.append((time.perf_counter() - start) * 1e3)
         return features
-
-    def close(self) -> None:
-        """Release MediaPipe."""
-        self._detector.close()
 
 
 class FastDriver(SyntheticDriver):
@@ -129,24 +126,29 @@ def measure_live(seconds: float, warm_up: float = WARM_UP_SECONDS, tick: Callabl
     if not len(rows) or not len(detect):
         raise TrackingError(f"no frame was tracked within {seconds:g} s")
     latency, track = rows[:, 0], rows[:, 1]
-    percentiles = {
-        f"{name}_p{level}": round(float(np.percentile(values, level)), 2)
-        for name, values in (("latency", latency), ("detect", detect), ("track", track))
-        for level in (50, 95)
-    }
-    dropped = {k: getattr(after, k) - getattr(before, k) for k in vars(after) if k.startswith("dropped_")}
     return LiveFigures(
         seconds=round(elapsed, 2),
         frames=len(rows),
         fps=round(len(rows) / elapsed, 2),
         lost=int((rows[:, 2] == 0).sum()),
-        latency_max=round(float(latency.max()), 2),
+        latency_p50=_percentile(latency, 50),
+        latency_p95=_percentile(latency, 95),
+        latency_max=_percentile(latency, 100),
+        detect_p50=_percentile(detect, 50),
+        detect_p95=_percentile(detect, 95),
+        track_p50=_percentile(track, 50),
+        track_p95=_percentile(track, 95),
+        dropped_sensor=after.dropped_sensor - before.dropped_sensor,
+        dropped_features=after.dropped_features - before.dropped_features,
+        dropped_tracker=after.dropped_tracker - before.dropped_tracker,
         own_cores=round(cpu / elapsed, 3),
         load=round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0,
         cores=os.cpu_count() or 1,
-        **percentiles,
-        **dropped,
     )
+
+
+def _percentile(values: np.ndarray, level: int) -> float:
+    return round(float(np.percentile(values, level)), 2)
 
 
 def _wait(session: LiveSession, seconds: float, tick: Callable[[float], None]) -> float:

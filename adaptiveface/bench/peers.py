@@ -67,7 +67,8 @@ class Notes:
     """Copies of the positional arguments of calls, while ``on``."""
 
     def __init__(self, on: bool = False) -> None:
-        self.on, self.calls = on, []
+        self.on = on
+        self.calls: list[tuple] = []
 
     def noting(self, method: Callable) -> Callable:
         """``method``, whose calls are noted."""
@@ -86,7 +87,7 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
 
     The samples are kept of all frames, because the model's state comes from all of them.
     """
-    aligned, fitted, solved, rows, prefactored = notes = [Notes() for _ in range(5)]
+    aligned, fitted, solved, rows, prefactored = notes = Notes(), Notes(), Notes(), Notes(), Notes()
     learned = Notes(on=True)
     note_rows = rows.noting(lambda _, *arguments: add_rows(*arguments))
     note_right = prefactored.noting(lambda _, right: None)
@@ -115,7 +116,7 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
         tracker.track(frame)
     for entry in (*notes, learned):
         entry.on = False
-    return Recorded(tracker, *(entry.calls for entry in notes), learned.calls)
+    return Recorded(tracker, aligned.calls, fitted.calls, solved.calls, rows.calls, prefactored.calls, learned.calls)
 
 
 def load_peers() -> list[str]:

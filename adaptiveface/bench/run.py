@@ -61,7 +61,8 @@ def time_stages(actor: Actor, frames: list[RgbdFrame], parameters: Parameters | 
     finally:
         gc.enable()
     learned = tracker.model.updates - before
-    return Timings(np.array(rows), *np.array(spent).T, learned, len(actor.neutral), int(actor.frontal.sum()))
+    whole, cpu = np.array(spent).T
+    return Timings(np.array(rows), whole, cpu, learned, len(actor.neutral), int(actor.frontal.sum()))
 
 
 def stage_table(timings: Timings) -> str:

@@ -22,7 +22,9 @@ from .folders import cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# Older versions of numba name them with an underscore.
+# Older versions of numba name them with an underscore. Numba has no type hints.
+_Beside: Any
+_Named: Any
 _Beside, _Named = (
     getattr(caching, name, None) or getattr(caching, f"_{name}") for name in ("InTreeCacheLocator", "UserProvidedCacheLocator")
 )

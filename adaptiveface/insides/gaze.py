@@ -14,7 +14,7 @@ from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_IDS, Features2D
 from ..geometry.mesh import surface_points, transform_points
 from ..model.actor import Actor
-from . import make_insides
+from .head import Insides, make_insides
 from .parts import CORNEA
 
 #: iBUG numbers of each eye's corners, and of its pairs of upper and lower lid points.
@@ -75,7 +75,7 @@ class GazeEstimator:
         """
         gaze = np.full((2, 2), np.nan)
         irises = None if features is None else features.iris_centres
-        if not self.available or irises is None:
+        if self._insides is None or features is None or irises is None:
             return gaze
         marks = surface_points(skin, self._actor.feature_triangles, self._actor.feature_weights)
         shown = camera.project(transform_points(pose, marks))
@@ -85,7 +85,7 @@ class GazeEstimator:
                 continue
             shift = (shown[corners] - features.pixels[corners]).mean(axis=0)
             if np.isfinite(irises[side] + shift).all():
-                gaze[side] = self._direction(irises[side] + shift, pose, camera, side)
+                gaze[side] = _direction(self._insides, irises[side] + shift, pose, camera, side)
         if np.isfinite(gaze).all():  # eyes move up and down together
             gaze[:, 1] = gaze[:, 1].mean()
         return gaze
@@ -107,19 +107,20 @@ class GazeEstimator:
         gap = np.linalg.norm(pixels[_LID_ROWS[side][:, 0]] - pixels[_LID_ROWS[side][:, 1]], axis=1).mean()
         return bool(gap > CLOSED * width)  # False for NaN
 
-    def _direction(self, pixel: np.ndarray, pose: np.ndarray, camera: Camera, side: int) -> np.ndarray:
-        """(2,) yaw and pitch, rad, of an eye with its iris at ``pixel``; NaN if it misses the ball or the turn is too large."""
-        ray = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0])
-        ray = pose[:3, :3].T @ (ray / np.linalg.norm(ray))
-        start = -pose[:3, :3].T @ pose[:3, 3] - self._insides.eye_centres[side]
-        radius = self._insides.eye_radii[side] * (1 + CORNEA)
-        along = -float(start @ ray)
-        inside = radius**2 - float(start @ start) + along**2
-        if inside <= 0:
-            return np.full(2, np.nan)
-        x, y, z = (start + (along - np.sqrt(inside)) * ray) / radius
-        found = np.array([np.arctan2(x, z), np.arcsin(np.clip(y, -1, 1))])
-        return found if (np.abs(found) <= LARGEST).all() else np.full(2, np.nan)
+
+def _direction(insides: Insides, pixel: np.ndarray, pose: np.ndarray, camera: Camera, side: int) -> np.ndarray:
+    """(2,) yaw and pitch, rad, of an eye with its iris at ``pixel``; NaN if it misses the ball or the turn is too large."""
+    ray = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0])
+    ray = pose[:3, :3].T @ (ray / np.linalg.norm(ray))
+    start = -pose[:3, :3].T @ pose[:3, 3] - insides.eye_centres[side]
+    radius = insides.eye_radii[side] * (1 + CORNEA)
+    along = -float(start @ ray)
+    inside = radius**2 - float(start @ start) + along**2
+    if inside <= 0:
+        return np.full(2, np.nan)
+    x, y, z = (start + (along - np.sqrt(inside)) * ray) / radius
+    found = np.array([np.arctan2(x, z), np.arcsin(np.clip(y, -1, 1))])
+    return found if (np.abs(found) <= LARGEST).all() else np.full(2, np.nan)
 
 
 class GazeTrack:

@@ -195,8 +195,8 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     marks = surface_points(neutral, model.feature_triangles, model.feature_weights)
     left, right, mouth = _openings()
     lids = (left, right)
-    centres, radii = _eyes(model, neutral, lids)
-    near = tuple(np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0) for loop in lids)
+    centres, radii = _eyes(model, model.eye_mean, neutral, lids)
+    near = (_near(neutral, left), _near(neutral, right))
     upper, lower, triangles_of_row, colours_of_row, tongue = _mouth_parts(marks)
     # The model's open mouth separates the upper lip from the lower one. Lips at rest touch, and a fitted head's may cross.
     height = rim_height((model.mean + model.expressions[model.expression_names.index("jawOpen")])[mouth]) * _MOUTH_HEIGHT
@@ -228,26 +228,31 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
     )
 
 
-def _eyes(model: FaceModel, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (2, 3) and radii (2,), mm, of the model's mean eyeballs, scaled and moved to lie behind the lids.
+def _eyes(model: FaceModel, eyes: np.ndarray, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (2, 3) and radii (2,), mm, of the model's mean ``eyes`` (E, 3), scaled and moved to lie behind the lids.
 
     The eyeballs are translated, not rotated. A rotation fitted to the small rim of the lids follows the slope of the lids.
     It would move the centre, 15 mm behind the lids, up by several millimetres on some real heads, and the eyes would look up.
     """
     centres, radii = [], []
     for side, loop in zip((1, -1), lids, strict=True):
-        centre, radius = sphere_of(model.eye_mean[model.eye_mean[:, 0] * side > 0])
+        centre, ball_radius = sphere_of(eyes[eyes[:, 0] * side > 0])
         source, target = model.mean[loop], neutral[loop]
-        size = np.linalg.norm(target - target.mean(0)) / np.linalg.norm(source - source.mean(0))
-        size = float(np.clip(size, 0.85, 1.15))
+        ratio = np.linalg.norm(target - target.mean(0)) / np.linalg.norm(source - source.mean(0))
+        size = float(np.clip(ratio, 0.85, 1.15))
         placed = target.mean(axis=0) + size * (centre - source.mean(axis=0))
         placed[1] = _iris_height(target, placed[0])
-        radius *= size / (1 + CORNEA)
+        radius = ball_radius * (size / (1 + CORNEA))
         reach = np.linalg.norm(target - placed, axis=1).min() - CLEARANCE  # of the cornea before it meets a lid
         placed[2] -= max(radius * (1 + CORNEA) - reach, 0.0)
         centres.append(placed)
         radii.append(radius)
     return np.array(centres), np.array(radii)
+
+
+def _near(neutral: np.ndarray, loop: np.ndarray) -> np.ndarray:
+    """Numbers of the skin's vertices within 30 mm of the middle of an eye's rim."""
+    return np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0)
 
 
 def _iris_height(rim: np.ndarray, x: float) -> float:
@@ -267,7 +272,7 @@ def sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
 def _mouth_parts(marks: np.ndarray):
     """Upper row (n, 3), lower row (n, 3), their triangles and colours, and the tongue, placed by the lips' landmarks."""
     place = {int(number): marks[k] for k, number in enumerate(FEATURE_IDS)}
-    size = np.linalg.norm(place[60] - place[64]) / 45.0
+    size = float(np.linalg.norm(place[60] - place[64])) / 45.0
     line = 0.5 * (place[62] + place[66])
     front = min(place[62][2], place[66][2]) - 5.3 * size
     row, triangles, colours = teeth_mesh(26.0 * size, 40.0 * size, 9.0 * size)
@@ -288,7 +293,8 @@ def _openings() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     loops = boundary_loops(model.triangles, len(model.mean))
     ids = np.asarray(FEATURE_IDS)
     wanted = [marks[(ids >= a) & (ids <= b)].mean(axis=0) for a, b in ((42, 47), (36, 41), (60, 67))]
-    return tuple(min(loops, key=lambda r: np.linalg.norm(model.mean[r].mean(axis=0) - w)) for w in wanted)
+    left, right, mouth = (min(loops, key=lambda r: float(np.linalg.norm(model.mean[r].mean(axis=0) - w))) for w in wanted)
+    return left, right, mouth
 
 
 def _jaw(model: FaceModel, neutral: np.ndarray) -> Jaw:

@@ -80,8 +80,8 @@ def teeth_mesh(half_width: float, depth: float, height: float) -> tuple[np.ndarr
     across = np.abs((np.arange(columns) % ACROSS) / ACROSS - 0.5) * 2  # 1 between two teeth, 0 in the middle of one
     crown = height * (1 - 0.28 * np.abs(place))
     # Rows from the gum over the front and the edge to the back: height above the edge, distance inwards, 1 for gum.
-    rows = ((1.7, 3.4, 1), (1.25, 1.0, 1), (1.0, 0.3, 0), (0.7, 0.0, 0), (0.3, 0.05, 0), (0.03, 0.5, 0), (0.0, 1.2, 0))
-    rows += ((0.1, 2.2, 0), (0.7, 3.6, 0), (1.1, 4.2, 1), (1.6, 6.5, 1))
+    rows = [(1.7, 3.4, 1), (1.25, 1.0, 1), (1.0, 0.3, 0), (0.7, 0.0, 0), (0.3, 0.05, 0), (0.03, 0.5, 0), (0.0, 1.2, 0)]
+    rows += [(0.1, 2.2, 0), (0.7, 3.6, 0), (1.1, 4.2, 1), (1.6, 6.5, 1)]
     points, colours = [], []
     for up, inward, gum in rows:
         groove = (0.15 if gum else 0.75) * across**6

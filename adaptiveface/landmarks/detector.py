@@ -151,36 +151,39 @@ class FeatureDetector:
         Features2D or None
             Features in pixels of the frame with their :func:`confidence`. None without a colour image or a face.
         """
-        if frame.colour is None:
+        colour = frame.colour
+        if colour is None:
             return None
-        face = self._follow(frame)
+        face = self._follow(frame, colour)
         if face is None:
-            faces = self._detect_stream(frame) if self._video else self.detect_faces(frame.colour)
-            faces = faces or self._in_foreground(frame)
+            video = self._video
+            faces = self.detect_faces(colour) if video is None else self._detect_stream(video, colour, frame.timestamp)
+            faces = faces or self._in_foreground(colour, frame.depth)
             if faces:  # found, and followed, without a window
                 return self._features(_choose(self._kept, faces, frame))
-            face = _choose(self._kept, self._in_windows(frame, self._next()), frame)
+            face = _choose(self._kept, self._in_windows(colour, self._next()), frame)
         if face is not None:
-            self._window = own_window(face.mesh, *frame.colour.shape[:2])
+            self._window = own_window(face.mesh, *colour.shape[:2])
         return self._features(face)
 
     def look(self, frame: RgbdFrame) -> Features2D | None:
         """Detect features as :meth:`detect` does, in a single picture, without using or changing the followed face."""
-        if frame.colour is None:
+        colour = frame.colour
+        if colour is None:
             return None
-        faces = self.detect_faces(frame.colour) or self._in_foreground(frame) or self._in_windows(frame, None)
+        faces = self.detect_faces(colour) or self._in_foreground(colour, frame.depth) or self._in_windows(colour, None)
         return self._features(_choose(KeptFace(), faces, frame))
 
     def forget(self) -> None:
         """Forget the followed face, so that the next picture may show another one."""
         self._kept, self._window = KeptFace(), None
 
-    def _follow(self, frame: RgbdFrame) -> DetectedFace | None:
+    def _follow(self, frame: RgbdFrame, colour: np.ndarray) -> DetectedFace | None:
         """Find the kept face in its own window. If it is not there, drop the window and return None."""
         window, self._window = self._window, None
-        if window is None or max(window[2] - frame.colour.shape[1], window[3] - frame.colour.shape[0]) > 0:
+        if window is None or max(window[2] - colour.shape[1], window[3] - colour.shape[0]) > 0:
             return None
-        faces = self._in_window(frame, window)
+        faces = self._in_window(colour, window)
         return _choose(self._kept, faces, frame) if faces else None
 
     def _next(self) -> int | None:
@@ -188,22 +191,22 @@ class FeatureDetector:
         self._turn += 1
         return self._turn if self._video else None
 
-    def _in_windows(self, frame: RgbdFrame, turn: int | None) -> list[DetectedFace]:
-        windows = search_windows(*frame.colour.shape[:2])
+    def _in_windows(self, colour: np.ndarray, turn: int | None) -> list[DetectedFace]:
+        windows = search_windows(*colour.shape[:2])
         for window in windows if turn is None else [windows[turn % len(windows)]]:
-            faces = self._in_window(frame, window)
+            faces = self._in_window(colour, window)
             if faces:
                 return faces
         return []
 
-    def _in_window(self, frame: RgbdFrame, window: Window) -> list[DetectedFace]:
+    def _in_window(self, colour: np.ndarray, window: Window) -> list[DetectedFace]:
         u, v, right, bottom = window
-        found = self.detect_faces(frame.colour[v:bottom, u:right])
+        found = self.detect_faces(colour[v:bottom, u:right])
         return [replace(face, mesh=face.mesh + [u, v, 0]) for face in found]
 
-    def _in_foreground(self, frame: RgbdFrame) -> list[DetectedFace]:
-        u, v, right, bottom = window = foreground_box(frame.depth)
-        return self._in_window(frame, window) if 0 < (right - u) * (bottom - v) < 0.6 * frame.depth.size else []
+    def _in_foreground(self, colour: np.ndarray, depth: np.ndarray) -> list[DetectedFace]:
+        u, v, right, bottom = window = foreground_box(depth)
+        return self._in_window(colour, window) if 0 < (right - u) * (bottom - v) < 0.6 * depth.size else []
 
     def _features(self, face: DetectedFace | None) -> Features2D | None:
         if face is None:
@@ -230,15 +233,16 @@ class FeatureDetector:
         """
         return _in_pixels(self._landmarker.detect(self._image(colour)), colour.shape)
 
-    def _detect_stream(self, frame: RgbdFrame) -> list[DetectedFace]:
-        """Find faces as :meth:`detect_faces` does, in the next frame of a stream."""
-        if self._video_size not in ((), frame.colour.shape):  # MediaPipe stores the places of faces as shares of the image
-            _close(self._video)
-            self._loaded.remove(self._video)
-            self._video, self._clock = self._load(self._vision.RunningMode.VIDEO), VideoClock()
-        self._video_size = frame.colour.shape
-        found = self._video.detect_for_video(self._image(frame.colour), self._clock.tick(frame.timestamp))
-        return _in_pixels(found, frame.colour.shape)
+    def _detect_stream(self, video, colour: np.ndarray, timestamp: float) -> list[DetectedFace]:
+        """Find faces as :meth:`detect_faces` does, in a stream's frame of ``timestamp`` seconds."""
+        if self._video_size not in ((), colour.shape):  # MediaPipe stores the places of faces as shares of the image
+            _close(video)
+            self._loaded.remove(video)
+            self._video = video = self._load(self._vision.RunningMode.VIDEO)
+            self._clock = VideoClock()
+        self._video_size = colour.shape
+        found = video.detect_for_video(self._image(colour), self._clock.tick(timestamp))
+        return _in_pixels(found, colour.shape)
 
 
 def _choose(kept: KeptFace, faces: list[DetectedFace], frame: RgbdFrame) -> DetectedFace | None:

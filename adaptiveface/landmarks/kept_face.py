@@ -65,7 +65,7 @@ class KeptFace:
 
     def __init__(self) -> None:
         self._last: SeenFace | None = None
-        self._time = self._size = None
+        self._time, self._size = 0.0, (0, 0)
 
     def choose(self, meshes: list[np.ndarray], frame: RgbdFrame) -> np.ndarray | None:
         """Choose the kept face among all faces of a frame.

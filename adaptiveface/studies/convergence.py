@@ -46,8 +46,8 @@ def _curves(axis, rows: list[dict], sensor) -> None:
     frame = np.array([row["frame"] for row in rows])
     for stage, width, alpha in (("v2", 1.8, 1.0), ("v4", 0.8, 0.8)):
         for space, colour, words in (("anchors", GREEN, "anchor space"), ("adaptive", BLUE, "adaptive space")):
-            values = [row[f"{stage}_from_{space}_mm"] for row in rows]
-            axis.plot(frame, values, color=colour, linewidth=width, alpha=alpha, label=f"{stage} from the {words}")
+            distance = [row[f"{stage}_from_{space}_mm"] for row in rows]
+            axis.plot(frame, distance, color=colour, linewidth=width, alpha=alpha, label=f"{stage} from the {words}")
     for time in range(TIMES):
         axis.axvline(sensor.neutral_frames + time * sensor.frames, color="0.7", linewidth=0.8, zorder=0)
     values = np.array([row["v2_from_adaptive_mm"] for row in rows])

@@ -16,7 +16,8 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
     """Caption, drawing and numbers."""
     take = Take.performed(seed, noise, frames or FRAMES, TIMES)
     sensor, frontal, faces = take.sensor, take.actor.frontal, Faces(take.actor, TOP)
-    shown, rows, found = take.liveliest(EXPRESSIONS, apart=sensor.frames // 4), [], {}
+    shown, rows = take.liveliest(EXPRESSIONS, apart=sensor.frames // 4), []
+    found: dict[tuple[str, int], tuple[np.ndarray, np.ndarray, int]] = {}
     for name, result, model in track(take):
         if not result.tracked:
             continue
@@ -31,15 +32,19 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
         )
         if (result.index - shown[0]) % sensor.frames == 0 or (result.index - shown[-1]) % sensor.frames == 0:
             found[name, result.index] = result.v3, np.where(frontal, rest, np.nan), model.updates
-    pictures, titles, times = [], [], ("first time", "second time", "third time")
+    times = ("first time", "second time", "third time")
+    pictures: list[list[np.ndarray | None]] = []
+    titles: list[list[str]] = []
     for name in PARAMETER_SETS:
         pictures.append([])
         titles.append([])
         for number, first in enumerate(shown, start=1):
             for time in range(TIMES):
-                mesh, rest, updates = found.get((name, first + time * sensor.frames), (None, None, 0))
-                pictures[-1].append(None if mesh is None else faces.heat(mesh, rest))
-                words = "lost" if rest is None else f"{updates} updates, {np.nanmean(rest):.2f} mm"
+                picture, words = None, "lost"
+                if (name, first + time * sensor.frames) in found:
+                    mesh, rest, updates = found[name, first + time * sensor.frames]
+                    picture, words = faces.heat(mesh, rest), f"{updates} updates, {np.nanmean(rest):.2f} mm"
+                pictures[-1].append(picture)
                 titles[-1].append(f"expression {number},\n{times[time]}:\n{words}")
     figure = grid(pictures, titles, list(PARAMETER_SETS))
     add_scale(figure, TOP, "distance of v2 from the adaptive space, mm")

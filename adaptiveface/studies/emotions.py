@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..evaluation.run import ErrorCollector
-from ..evaluation.truth import REPEAT
+from ..evaluation.truth import REPEAT, GroundTruth
 from ..geometry.mesh import transform_points
 from .drawing import Faces, add_scale, grid
 from .performances import EMOTIONS, emotional, track
@@ -32,8 +32,9 @@ METHODS = {
 def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[dict]]:
     """Caption, drawing and numbers."""
     take, held = emotional(seed, noise, frames or FRAMES)
+    truth = GroundTruth.of(take.sensor)
     collectors = {
-        (method, emotion): ErrorCollector(take.sensor, take.actor, (stage,))
+        (method, emotion): ErrorCollector(truth, take.actor, (stage,))
         for method, (_, stage) in METHODS.items()
         for emotion in EMOTIONS
     }

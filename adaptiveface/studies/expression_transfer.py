@@ -109,9 +109,14 @@ class ExpressionTransfer:
         shape = self.actor.blendshapes[self.names.index(name)] if transferred else self.shape(name)
         heads = self.model.mean + self.shape(name), self.actor.neutral + shape
         at = self.model.feature_triangles, self.model.feature_weights
-        points = [surface_points(head, *at) for head in heads]
-        return tuple(float(np.mean([np.linalg.norm(p[a] - p[b]) for a, b in LIDS[name]])) for p in points)
+        average, own = (surface_points(head, *at) for head in heads)
+        return _gap(average, name), _gap(own, name)
 
     def shape(self, name: str) -> np.ndarray:
         """(V, 3) displacements of the average head in an expression, mm."""
         return self.model.generic_expressions[self.names.index(name)]
+
+
+def _gap(marks: np.ndarray, name: str) -> float:
+    """Mean distance between the lids of an eye, mm, given the features (40, 3) mm; ``name`` is one of ``LIDS``."""
+    return float(np.mean([np.linalg.norm(marks[a] - marks[b]) for a, b in LIDS[name]]))

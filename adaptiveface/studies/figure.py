@@ -17,6 +17,7 @@ from ..runtime.blas import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.typing import RcKeyType
 
 #: Number in the paper -> the module that draws the figure, and its subject.
 FIGURES = {
@@ -30,7 +31,7 @@ FIGURES = {
     10: ("people", "more people, beside a tracker that does not adapt"),
     11: ("convergence", "the distance from the anchor space and from the adaptive space"),
 }
-_STYLE = {"svg.hashsalt": "adaptiveface", "svg.fonttype": "none", "image.composite_image": False}
+_STYLE: dict[RcKeyType, object] = {"svg.hashsalt": "adaptiveface", "svg.fonttype": "none", "image.composite_image": False}
 
 
 @dataclass(frozen=True)

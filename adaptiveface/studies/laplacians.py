@@ -107,7 +107,7 @@ def error_in_hole(
     float
         Mean error inside the holes, mm; NaN if no vertex lies inside one.
     """
-    errors = []
+    inside_holes = []
     for result, full, hole in zip(run, session.frames, pierced.frames, strict=True):
         if result is None or not result.tracked:
             continue
@@ -115,6 +115,6 @@ def error_in_hole(
         pixels = np.round(full.camera.project(result.in_camera(getattr(result, stage)))).astype(int)
         column, row = np.clip(pixels, 0, [width - 1, height - 1]).T
         inside = (full.depth[row, column] > 0) & (hole.depth[row, column] == 0)
-        errors.append(measures.error(result, full, stage)[inside])
-    errors = np.concatenate(errors) if errors else np.zeros(0)
+        inside_holes.append(measures.error(result, full, stage)[inside])
+    errors = np.concatenate([np.zeros(0), *inside_holes])
     return float(np.nanmean(errors)) if np.isfinite(errors).any() else float("nan")

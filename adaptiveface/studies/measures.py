@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..evaluation import motion_error, neutral_alignment
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points, vertex_normals
+from ..parameters import Parameters
 from ..tracking.feature_rows import reprojection_errors
 from ..tracking.types import TrackedFrame
 from .session import Session
 
 #: Gives the vertices (N, 3) of one tracked frame in the head frame, mm, and their heat (N,) or None.
 Pane = Callable[[TrackedFrame, RgbdFrame], tuple[np.ndarray, np.ndarray | None]]
+
+
+@dataclass(frozen=True)
+class TunedPane:
+    """A pane whose content also depends on the explorer's parameters: ``draw`` is a :data:`Pane` with a third argument."""
+
+    draw: Callable[[TrackedFrame, RgbdFrame, Parameters], tuple[np.ndarray, np.ndarray | None]]
+
 
 #: Height of the chart of errors, mm or px, if they contain the sensor's noise.
 WITHOUT_TRUTH = 5.0
@@ -38,8 +48,6 @@ class Measures:
 
     Attributes
     ----------
-    has_truth : bool
-        Whether the truth is known on the actor's mesh.
     label : str
         Meaning of the colours; "" if they show nothing.
     curve, unit : str
@@ -49,15 +57,20 @@ class Measures:
     def __init__(self, session: Session) -> None:
         self.session, actor = session, session.actor
         truth = session.truth
-        self.has_truth = truth is not None and truth.neutral.shape == actor.neutral.shape
+        self._truth = truth if truth is not None and truth.neutral.shape == actor.neutral.shape else None
         self.label, self.unit = "distance to the depth map, mm", "mm"
         if self.has_truth:
             self.label = "motion error against the truth, mm"
         self.curve = self.label
         if session.colour_only:
             self.label, self.curve, self.unit = "", "distance from the 2D features, px", "px"
-        if self.has_truth:
-            self._alignment = neutral_alignment(actor.neutral, truth.neutral, actor.frontal)
+        if self._truth is not None:
+            self._alignment = neutral_alignment(actor.neutral, self._truth.neutral, actor.frontal)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the truth is known on the actor's mesh."""
+        return self._truth is not None
 
     def top(self, known: float) -> float:
         """Upper end of a chart of mean errors. ``known`` mm suffice against the truth; without it, the chart is higher."""
@@ -69,10 +82,10 @@ class Measures:
         if not result.tracked:
             return np.full(len(actor.neutral), np.nan)
         vertices = result.in_camera(getattr(result, stage))
-        if self.has_truth:
-            truth = self.session.truth[frame.index]
+        if self._truth is not None:
+            truth = self._truth[frame.index]
             vectors = motion_error(
-                vertices, actor.neutral, truth.vertices, self.session.truth.neutral, truth.head_pose, self._alignment
+                vertices, actor.neutral, truth.vertices, self._truth.neutral, truth.head_pose, self._alignment
             )
             lengths = np.linalg.norm(vectors, axis=1)
         else:

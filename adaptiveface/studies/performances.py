@@ -70,12 +70,13 @@ class Take:
     def liveliest(self, count: int, apart: int = 12) -> list[int]:
         """Frames of the first performance with the largest true motion, in order, at least ``apart`` frames from each other."""
         first = self.sensor.neutral_frames
-        motion = []
+        means = []
         for index in range(first, first + self.sensor.frames):
             truth = self.sensor.ground_truth(index)
             moved = true_motion(truth.vertices, truth.head_pose, self.sensor.performer.neutral)[self.scored]
-            motion.append(np.linalg.norm(moved, axis=1).mean())
-        motion, chosen = np.array(motion), []
+            means.append(np.linalg.norm(moved, axis=1).mean())
+        motion = np.array(means)
+        chosen: list[int] = []
         while len(chosen) < count and np.isfinite(motion).any() and motion.max() > 0:
             best = int(motion.argmax())
             chosen.append(first + best)

@@ -38,7 +38,9 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
         rows.append({"parameters": name, "frame": result.index, **medians, **means})
         if result.index == shown:
             found[name] = result
-    pictures, titles, frame = [], [], take.sensor.read(shown)
+    frame = take.sensor.read(shown)
+    pictures: list[list[np.ndarray | None]] = []
+    titles: list[list[str]] = []
     if not found:
         raise TrackingError(f"{take.sensor.name}: frame {shown} was lost; another seed, or more frames")
     for result in found.values():
@@ -79,7 +81,7 @@ def _input(take: Take, frame: RgbdFrame, result) -> list[np.ndarray]:
     colour = view.crop(frame.colour, frame.depth)
     left, top, right, _ = view.window
     dots, scale = colour.copy(), view.camera.width / (right - left)
-    for u, v in frame.features.pixels[frame.features.valid]:
+    for u, v in frame.seen.pixels[frame.seen.valid]:
         cv2.circle(dots, (round((u - left) * scale), round((v - top) * scale)), 2, (40, 230, 90), -1, cv2.LINE_AA)
     posed = shaded_overlay(colour, view, mesh, frontal_triangles(take.actor))
     return [dots, view.crop(depth_picture(frame.depth), frame.depth), posed]

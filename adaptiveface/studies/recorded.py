@@ -68,12 +68,15 @@ def read_take(source: FrameSource, neutral_frames: int | Sequence[int], count: i
     Raises
     ------
     AdaptiveFaceError
-        No frame can be used, or none of the named ones shows a face.
+        No frame can be used, none of the named ones shows a face, or ``neutral_frames`` is a number below 1.
     """
-    leading = neutral_frames if isinstance(neutral_frames, int) else 0
-    named, found = [], []
+    leading, names = (neutral_frames, range(0)) if isinstance(neutral_frames, int) else (0, neutral_frames)
+    if isinstance(neutral_frames, int) and leading < 1:
+        raise AdaptiveFaceError(f"neutral_frames = {leading}: at least 1 frame of {source.name} must show the face at rest")
+    named: list[RgbdFrame] = []
+    found: list[RgbdFrame] = []
     with FrameReader(source) as reader:
-        for index in () if isinstance(neutral_frames, int) else sorted({k for k in neutral_frames if 0 <= k < len(source)}):
+        for index in sorted({k for k in names if 0 <= k < len(source)}):
             named += [frame for frame in [reader.read(index)] if frame is not None and face_found(frame)]
         for index in range(max(first, 0), len(source)):
             if len(found) >= leading + count:
@@ -84,7 +87,7 @@ def read_take(source: FrameSource, neutral_frames: int | Sequence[int], count: i
         why = f"; {len(skipped)} broken frames, the first: {next(iter(skipped.values()))}" if skipped else ""
         raise AdaptiveFaceError(f"{source.name}: none of the frames from {first} on can be used; it has {len(source)}{why}")
     if not leading and not named:
-        raise AdaptiveFaceError(f"{source.name}: no face is seen in the {numbers(neutral_frames)}, named as the neutral")
+        raise AdaptiveFaceError(f"{source.name}: no face is seen in the {numbers(names)}, named as the neutral")
     neutral, said = _named(named) if named else _chosen(found, leading)
     taken = {frame.index for frame in neutral}
     leads = bool(leading) and {f.index for f in found[: len(taken)]} == taken and len(found) >= len(taken) + count

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,10 @@ from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
 from ..tracking.types import TrackedFrame
 from .recorded import read_take
+
+if TYPE_CHECKING:
+    from ..synthetic.lesson import LessonSensor
+    from ..synthetic.sensor import SyntheticSensor
 
 T = TypeVar("T")
 
@@ -207,8 +211,8 @@ def _recorded(
     take = read_take(opened, neutral_frames, count, first)
     print(take.note)
     camera = take.frames[0].camera
-    only = dict(colour_only=known.colour_only, guessed_camera=known.guessed_camera, has_features=not known.colour_only)
-    session = Session(opened.name, camera, take.neutral, take.frames, fps=known.fps, **only)
+    session = Session(opened.name, camera, take.neutral, take.frames, has_features=not known.colour_only, fps=known.fps)
+    session.colour_only, session.guessed_camera = known.colour_only, known.guessed_camera
     if session.colour_only and actor is None:
         _ = session.actor  # this also finds the frames' focal length
     return session
@@ -286,8 +290,8 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
             values = (
                 np.round(frame.depth / unit).astype(np.uint16),
                 frame.colour,
-                frame.features.pixels,
-                frame.features.confidence,
+                frame.seen.pixels,
+                frame.seen.confidence,
                 truth.vertices.astype(np.float32),
                 truth.head_pose,
                 truth.performance,
@@ -311,15 +315,15 @@ def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarra
     )
 
 
-def _performance(source: str, neutral_frames: int, count: int):
+def _performance(source: str, neutral_frames: int, count: int) -> tuple[SyntheticSensor | LessonSensor, Sequence[int]]:
     """The sensor of a synthetic source, and the numbers of the frames to take from it."""
     from ..synthetic.lesson import LessonSensor
     from ..synthetic.look import parse_performer
     from ..synthetic.sensor import SyntheticSensor
 
     if source == LESSON:
-        sensor = LessonSensor(neutral_frames=neutral_frames)
-        return sensor, range(min(neutral_frames + count, len(sensor)))
+        lesson = LessonSensor(neutral_frames=neutral_frames)
+        return lesson, range(min(neutral_frames + count, len(lesson)))
     seed, noise, look = parse_performer(source.partition(":")[2])
     half = max(count // 2, 1)
     # The liveliest window of a script that is three times as long, so that expressions have a natural speed.

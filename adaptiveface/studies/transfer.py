@@ -40,17 +40,18 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
             if result.index in shown:
                 found[name, result.index] = result
     faces, table, characters = Faces(take.actor, 1.0, (SIZE, SIZE)), arkit_weights(names), [load_character(n) for n in BUILT_IN]
-    pictures, titles = [], []
+    pictures: list[list[np.ndarray | None]] = []
+    titles: list[list[str]] = []
     for index in shown:
-        true = known.ground_truth(index)
-        pictures.append([faces.plain(transform_points(np.linalg.inv(true.head_pose), true.vertices))])
+        face = known.ground_truth(index)
+        pictures.append([faces.plain(transform_points(np.linalg.inv(face.head_pose), face.vertices))])
         titles.append(["the true face"])
         for name in PARAMETER_SETS:
-            result = found.get((name, index))
+            kept = found.get((name, index))
             coefficients = np.zeros(len(names))
-            if result is not None:
-                coefficients[: len(result.coefficients)] = result.coefficients
-            pictures[-1].append(None if result is None else faces.plain(result.v4))
+            if kept is not None:
+                coefficients[: len(kept.coefficients)] = kept.coefficients
+            pictures[-1].append(None if kept is None else faces.plain(kept.v4))
             titles[-1].append(f"{name}: v4")
             for character in characters:
                 shape = character.shape(character.weights(table.curves(coefficients[None]))[0])

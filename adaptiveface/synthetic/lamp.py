@@ -49,9 +49,7 @@ def lamp(kind: str, seconds: float) -> Lamp:
         if step == 0:
             before = after
         share = float(soft_step(within / _FADE))
-        level, colour, direction = (
-            (1 - share) * np.asarray(a) + share * np.asarray(b) for a, b in zip(before, after, strict=True)
-        )
-        light = replace(Light(), key_direction=tuple(float(x) for x in direction))
+        level, colour, key = ((1 - share) * np.asarray(a) + share * np.asarray(b) for a, b in zip(before, after, strict=True))
+        light = replace(Light(), key_direction=(float(key[0]), float(key[1]), float(key[2])))
         return Lamp(light, level * colour)
     return Lamp(Light(), np.ones(3))

@@ -45,7 +45,7 @@ def make_makeup(
     is the rim (n, 3) inside the lips.
     """
     at = dict(zip(FEATURE_IDS.tolist(), landmarks, strict=True))
-    unit = 0.5 * np.linalg.norm(at[45] - at[36])
+    unit = 0.5 * float(np.linalg.norm(at[45] - at[36]))
     front = (normals[:, 2] > -0.2) & (points[:, 2] > landmarks[:, 2].min() - 0.5 * unit)
     fields = np.empty((len(points), 7))
     fields[:, LIPS] = np.where(front, _lips(points, np.array([at[i] for i in range(48, 60)])), -50.0)

@@ -103,7 +103,7 @@ def _correlated(shape: tuple[int, int], sigma: float, rng: np.random.Generator) 
     kernel = cv2.getGaussianKernel(2 * pad + 1, sigma / coarse)
     noise = cv2.sepFilter2D(white, -1, kernel, kernel)[pad : pad + h, pad : pad + w] / float((kernel**2).sum())
     if coarse > 1:
-        noise = cv2.resize(noise, None, fx=coarse, fy=coarse, interpolation=cv2.INTER_CUBIC)
+        noise = cv2.resize(np.asarray(noise, np.float32), None, fx=coarse, fy=coarse, interpolation=cv2.INTER_CUBIC)
     return noise[: shape[0], : shape[1]]
 
 

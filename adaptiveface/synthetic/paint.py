@@ -84,7 +84,7 @@ class Painter:
         if self._photographic is None:
             lit = self._drawn(hits, struck, fields, vertices, camera, room)
         else:
-            lit = self._photographed(hits, struck, fields, vertices, camera, room, rotation)
+            lit = self._photographed(self._photographic, hits, struck, fields, vertices, camera, room, rotation)
         image = self._background
         u0, v0, u1, v1 = hits.window
         if self._look.camera == "plain":
@@ -121,6 +121,7 @@ class Painter:
 
     def _photographed(
         self,
+        photographic: PhotographicSkin,
         hits: Hits,
         part: np.ndarray,
         fields: np.ndarray,
@@ -130,7 +131,6 @@ class Painter:
         rotation: np.ndarray,
     ) -> np.ndarray:
         """(P, 3) colours of the hits, 0 to 255 and above, with photographic skin."""
-        photographic = self._photographic
         normals, towards = seen_surface(hits, vertices, self._scene.triangles, camera)
         facing = np.clip(np.abs(np.einsum("pd,pd->p", normals, towards)), 0.3, 1)
         footprint = hits.depth[hits.mask] / camera.fx / facing

@@ -93,18 +93,19 @@ class Performer:
         points = plain if eyes is None else np.concatenate([plain, eyes])
         points = points + (identity_detail(rng, points, detail) if detail > 0 else 0.0)
         self._control = points[: len(plain)]
-        self._place_eyes(points[len(plain) :] if eyes is not None else None)
+        self._place_eyes(None if eyes is None else model.eye_mean, points[len(plain) :])
         self._units = personal_units(rng, plain, model.expressions, names, variation)
         self._bends = path_bends(rng, plain, self._units, 0.06 * variation)
         self._interactions = make_interactions(rng, plain, self._units, names, 1.4 * variation)
         jaw = names.index("jawOpen") if "jawOpen" in names else None
         self._jaw_unit, self._jaw = jaw, None if jaw is None else make_jaw_hinge(self._control, self._units[jaw])
 
-    def _place_eyes(self, eyes: np.ndarray | None) -> None:
+    def _place_eyes(self, mean: np.ndarray | None, eyes: np.ndarray) -> None:
+        """Fit a sphere to each eye of ``eyes`` (E, 3), whose sides are known from ``mean`` (E, 3); None: no eyes."""
         centres, radii = [], []
-        if eyes is not None:
+        if mean is not None:
             for side in (1, -1):
-                ball = eyes[self.model.eye_mean[:, 0] * side > 0]
+                ball = eyes[mean[:, 0] * side > 0]
                 system = np.column_stack([2 * ball, np.ones(len(ball))])
                 solution = np.linalg.lstsq(system, (ball**2).sum(axis=1), rcond=None)[0]
                 centres.append(solution[:3])

@@ -211,7 +211,7 @@ def to_linear(srgb: np.ndarray) -> np.ndarray:
 def _regions(points: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     """(D, 7) place and regions of the neutral skin (D, 3), from the features (40, 3): all in the head frame, mm."""
     at = dict(zip(FEATURE_IDS.tolist(), landmarks, strict=True))
-    size = 0.5 * np.linalg.norm(at[45] - at[36])
+    size = 0.5 * float(np.linalg.norm(at[45] - at[36]))
     middle, mouth = 0.5 * (at[36] + at[45]), 0.5 * (at[48] + at[54])
     x, down = (points[:, 0] - middle[0]) / size, (points[:, 1] - mouth[1]) / size
     eyes = (middle[1] - mouth[1]) / size

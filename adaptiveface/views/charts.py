@@ -25,6 +25,9 @@ LEGEND_TIGHT = {"columnspacing": 1.0, "handletextpad": 0.3, "borderpad": 0.2}
 #: Widths in a legend, pixels: of a line with the space around it, and of a letter.
 LEGEND_HANDLE, LEGEND_LETTER = 42, 6
 
+#: Values of a line: an array over 0, 1, 2, ..., or a pair (x, y).
+Series = np.ndarray | tuple[np.ndarray, np.ndarray]
+
 _BAR = np.array([0x00, 0x72, 0xB2, 0xFF], np.uint8)  # the first of them
 
 
@@ -66,8 +69,8 @@ class LiveChart:
         axis.set(xlim=(x[0], max(x[1], x[0] + 1)), ylim=y, xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
         axis.set_title(title, fontsize=9)
         axis.tick_params(labelsize=8)
-        axis.xaxis.label.set_size(9)
-        axis.yaxis.label.set_size(9)
+        axis.xaxis.label.set_fontsize(9)
+        axis.yaxis.label.set_fontsize(9)
         axis.grid(alpha=0.3)
         self._lines = {}
         for name, colour in zip(names, COLOURS, strict=False):
@@ -91,7 +94,7 @@ class LiveChart:
         """The widget that holds the PNG as its ``value``."""
         return image_widget(*size, format="png", name="adaptiveface-chart")
 
-    def update(self, cursor: float = np.nan, **series) -> None:
+    def update(self, cursor: float = np.nan, /, **series: Series) -> None:
         """Draw other lines.
 
         Parameters
@@ -150,7 +153,7 @@ class BarChart:
         self.widget = widgets.VBox([self._image])
         self.update(np.zeros(len(names)))
 
-    def update(self, values: Sequence[float]) -> None:
+    def update(self, values: Sequence[float] | np.ndarray) -> None:
         """Draw bars of other lengths. A bar that is longer than the axis ends at its edge."""
         picture = self._background.copy()
         share = (np.nan_to_num(np.asarray(values, float)) - self._low) / (self._high - self._low)

@@ -132,12 +132,11 @@ class FaceView:
         """
         shown = self._shown[pane]
         shown.vertices, shown.heat = np.asarray(vertices, float), None if heat is None else np.asarray(heat, float)
-        motion = None
-        if shown.insides is not None:
-            if neutral is not None and not np.array_equal(neutral, shown.insides.neutral_skin):
-                shown.insides = make_insides(np.asarray(neutral, float), self._triangles)
-                self._rests[pane] = heads.rest(shown.insides)
-            motion = shown.insides.motion(shown.vertices, gaze)
+        insides = shown.insides
+        if insides is not None and neutral is not None and not np.array_equal(neutral, insides.neutral_skin):
+            insides = shown.insides = make_insides(np.asarray(neutral, float), self._triangles)
+            self._rests[pane] = heads.rest(insides)
+        motion = None if insides is None else insides.motion(shown.vertices, gaze)
         if turn is not None:
             shift = self.centre - turn @ self.centre
             shown.vertices = shown.vertices @ turn.T + shift
@@ -203,7 +202,7 @@ class FaceView:
     def picture(self) -> np.ndarray:
         """Draw the panes as they are now, (H, W, 3) uint8; a saved notebook shows this picture without a kernel."""
         image = self._image
-        camera = still.Still(tuple(image.pane), self.centre, image.radius, *image.camera)
+        camera = still.Still((image.pane[0], image.pane[1]), self.centre, image.radius, *image.camera)
         panes = [still.picture(camera, s, self._triangles, self.limits, self.colourmap) for s in self._shown]
         return still.tiled(panes, image.grid[0], self.titles)
 

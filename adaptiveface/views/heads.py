@@ -52,9 +52,9 @@ class Heads(anywidget.AnyWidget):
     """
 
     _esm = Path(__file__).resolve().parents[1] / "assets" / "heads.js"
-    geometry = traitlets.List().tag(sync=True)
+    geometry: traitlets.List[dict] = traitlets.List().tag(sync=True)
     rests = traitlets.List(traitlets.Bytes()).tag(sync=True)
-    frame = traitlets.List().tag(sync=True)
+    frame: traitlets.List[dict] = traitlets.List().tag(sync=True)
     titles = traitlets.List(traitlets.Unicode()).tag(sync=True)
     grid = traitlets.List(traitlets.Int(), [1, 1]).tag(sync=True)
     pane = traitlets.List(traitlets.Int(), [380, 420]).tag(sync=True)

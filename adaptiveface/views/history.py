@@ -68,7 +68,7 @@ class History:
             self._model = None
         if self._model is None:
             self._model = copy.copy(model)
-            self._model._samples = self._model._correctives = None
+            self._model._samples, self._model._correctives = model._samples[:0].copy(), None
         kept.model = self._model
         self._entries[index] = _Entry(kept, last[1] if last is not None and follows else None, self._rows, len(self._rows))
 
@@ -84,18 +84,21 @@ class History:
 
     def samples(self, index: int) -> int:
         """Number of samples that the tracker before frame ``index`` had seen."""
-        return self._entries[index].seen
+        return self._entry(index).seen
 
     def before(self, index: int) -> Tracker | None:
         """The tracker before frame ``index``; the same object when asked again."""
-        tracker = self._whole(index)
-        if tracker is not None and tracker.expressions is None:
+        entry = self._entries[index]
+        if entry is None:
+            return None
+        tracker = self._whole(entry)
+        if tracker.expressions is None:
             tracker.wear_personal()
         return tracker
 
     def model(self, index: int) -> AdaptiveModel:
         """The adaptive model of :meth:`before`, without making its fit anew. There must be a tracker."""
-        return self._whole(index).model
+        return self._whole(self._entry(index)).model
 
     def change(self, index: int) -> np.ndarray | None:
         """(A, n, 3) mm by which the expressions before frame ``index`` differ from the transferred ones, or None."""
@@ -103,10 +106,13 @@ class History:
         personal = None if entry is None else entry.tracker.personal
         return personal.change if personal is not None and personal.updates else None
 
-    def _whole(self, index: int) -> Tracker | None:
+    def _entry(self, index: int) -> _Entry:
         entry = self._entries[index]
         if entry is None:
-            return None
+            raise KeyError(f"no tracker is kept before frame {index}")
+        return entry
+
+    def _whole(self, entry: _Entry) -> Tracker:
         if self._given is None or self._given[0] is not entry:
             whole = entry.tracker.copy()
             state, last = whole.state, entry.last

@@ -32,6 +32,10 @@ class KeptFrame(TrackedFrame):
     A copy with changes (``dataclasses.replace``) holds its meshes itself.
     """
 
+    _keeper: Keeper
+    _change: np.ndarray | None
+    _parts: list[tuple[int, np.ndarray]]
+
     @classmethod
     def of(cls, result: TrackedFrame, keeper: Keeper, change: np.ndarray | None) -> KeptFrame:
         """The frame ``result`` as its ``keeper`` keeps it; ``change`` as in :meth:`Keeper.keep`."""

@@ -18,6 +18,8 @@ import weakref
 from collections.abc import Callable, Coroutine
 from contextlib import contextmanager
 
+import ipywidgets as widgets
+
 from ..errors import AdaptiveFaceError
 
 #: Environment variable: errors of callbacks are raised as well as shown, so that test runs fail.
@@ -44,6 +46,8 @@ def running_loop() -> asyncio.AbstractEventLoop | None:
 class Displayed:
     """A view that a notebook shows by its ``widget``."""
 
+    widget: widgets.Widget
+
     def _ipython_display_(self) -> None:
         from IPython.display import display
 
@@ -55,7 +59,8 @@ def on_main_thread(function: Callable) -> Callable:
 
     The decorator must be applied in code that a cell calls.
     """
-    loop, waiting, lock = running_loop(), [], threading.Lock()
+    loop, lock = running_loop(), threading.Lock()
+    waiting: list[tuple[tuple, dict]] = []
 
     def run_newest() -> None:
         """Run the newest of the waiting calls, and drop the others."""
@@ -117,7 +122,7 @@ class BackgroundTask:
 
     def stop(self) -> None:
         """Cancel the task if it is running. Another one can start at once."""
-        if self.running:
+        if self._task is not None and not self._task.done():
             self._task.cancel()
             self._task = None
 
@@ -125,16 +130,22 @@ class BackgroundTask:
         """Wait for the task to end, and raise its error if it failed."""
         while self.running:
             await asyncio.sleep(0.01)
-        if self._task is not None and not self._task.cancelled() and self._task.exception() is not None:
-            raise self._task.exception()
+        error = None if self._task is None else _error(self._task)
+        if error is not None:
+            raise error
+
+
+def _error(task: asyncio.Task) -> BaseException | None:
+    """The error that ended a task, or None."""
+    return None if task.cancelled() else task.exception()
 
 
 def _tell(task: asyncio.Task) -> None:
     """Show an error that nobody waits for under the cell. It also fails a test run of the notebook."""
-    if not task.cancelled() and task.exception() is not None:
+    error = _error(task)
+    if error is not None:
         from IPython import get_ipython
 
-        error = task.exception()
         if get_ipython() is not None:
             get_ipython().showtraceback((type(error), error, error.__traceback__))
 

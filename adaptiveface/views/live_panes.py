@@ -11,8 +11,8 @@ from ..geometry.mesh import surface_points, transform_points, vertex_normals
 from ..insides.gaze import GazeTrack
 from ..live.session import LiveResult
 from ..model.actor import Actor
-from ..model.face_model import embedded_face_model
-from ..retargeting.arkit import arkit_weights
+from ..model.face_model import FaceModel, embedded_face_model
+from ..retargeting.arkit import ArkitWeights, arkit_weights
 from ..retargeting.loading import load_character
 from ..retargeting.portrait import FACING, portrait
 from ..studies.measures import depth_distance
@@ -32,7 +32,10 @@ class MeshPane:
     """The tracked mesh v4 in the head's pose with a heat map. During the neutral scan, it shows the coverage."""
 
     def __init__(self, size: tuple[int, int] = (270, 290)) -> None:
-        self._size, self._view, self._actor, self._gaze = size, None, None, None
+        self._size = size
+        self._view: FaceView | None = None
+        self._actor: Actor | FaceModel | None = None
+        self._gaze: GazeTrack | None = None
         self.heat = widgets.Dropdown(
             options=[ADDED, TO_DEPTH, PLAIN],
             description="colours",
@@ -44,20 +47,22 @@ class MeshPane:
 
     def show_scan(self, coverage: np.ndarray, pose: np.ndarray | None) -> None:
         """Show the average head, coloured by the share (V,) of the views that the scan still needs."""
-        model = embedded_face_model()
-        if self._actor is not model:
-            self._open(model, model.mean, "seen by depth", (0.0, 1.0), "share of the views wanted (1: enough)", False)
-        self._draw(model.mean, coverage, pose)
+        model, view = embedded_face_model(), self._view
+        if view is None or self._actor is not model:
+            label = "share of the views wanted (1: enough)"
+            view = self._open(model, model.mean, "seen by depth", (0.0, 1.0), label, False)
+        self._draw(view, model.mean, coverage, pose)
 
     def show(self, actor: Actor, result: LiveResult) -> None:
         """Show a tracked frame. If the frame is not tracked, the last picture stays."""
-        if self._actor is not actor:
-            self._open(actor, actor.neutral, "tracked mesh v4", HEAT_LIMITS, "mm", True)
-            self._gaze = GazeTrack(actor, keep=False)
+        view, track = self._view, self._gaze
+        if view is None or track is None or self._actor is not actor:
+            view = self._open(actor, actor.neutral, "tracked mesh v4", HEAT_LIMITS, "mm", True)
+            track = self._gaze = GazeTrack(actor, keep=False)
         tracked = result.tracked
-        gaze = self._gaze.see(tracked, result.frame)
+        gaze = track.see(tracked, result.frame)
         if tracked.tracked:
-            self._draw(tracked.v4, self._heat(actor, result), tracked.head_pose, gaze)
+            self._draw(view, tracked.v4, self._heat(actor, result), tracked.head_pose, gaze)
 
     def _heat(self, actor: Actor, result: LiveResult) -> np.ndarray | None:
         tracked = result.tracked
@@ -71,18 +76,24 @@ class MeshPane:
         return np.where(seen, depth_distance(result.frame, vertices), np.nan)
 
     def _draw(
-        self, vertices: np.ndarray, heat: np.ndarray | None, pose: np.ndarray | None, gaze: np.ndarray | None = None
+        self,
+        view: FaceView,
+        vertices: np.ndarray,
+        heat: np.ndarray | None,
+        pose: np.ndarray | None,
+        gaze: np.ndarray | None = None,
     ) -> None:
         turn = FACING @ pose[:3, :3] if self.follow.value and pose is not None else None
-        self._view.show(0, vertices, heat, gaze=gaze, turn=turn)
-        self._view.refresh()
+        view.show(0, vertices, heat, gaze=gaze, turn=turn)
+        view.refresh()
 
-    def _open(self, owner, vertices: np.ndarray, title: str, limits, label: str, choices: bool) -> None:
+    def _open(self, owner: Actor | FaceModel, vertices: np.ndarray, title: str, limits, label: str, choices: bool) -> FaceView:
         self.close()
         centre = vertices[owner.frontal].mean(axis=0)
-        self._view = FaceView(vertices, owner.triangles, (title,), limits, label, self._size, centre, radius=150.0)
-        self._actor = owner
-        self.widget.children = [self._view.widget, *([self.heat] if choices else []), self.follow]
+        view = FaceView(vertices, owner.triangles, (title,), limits, label, self._size, centre, radius=150.0)
+        self._view, self._actor = view, owner
+        self.widget.children = [view.widget, *([self.heat] if choices else []), self.follow]
+        return view
 
     def close(self) -> None:
         """Send nothing more. The last picture stays."""
@@ -118,7 +129,8 @@ class CharacterPane:
 
     def __init__(self, name: str, size: int = 270) -> None:
         self.character, self._size = load_character(name), size
-        self._table, self._names = None, None
+        self._table: ArkitWeights | None = None
+        self._names: tuple[str, ...] = ()
         self._image = image_widget(size, size, name="adaptiveface-character")
         self._image.value = encode(portrait(self.character, self.character.neutral, size, rays=1))
         self.widget = widgets.VBox([widgets.HTML(f"<b>{self.character.name}</b>"), self._image])
@@ -127,10 +139,11 @@ class CharacterPane:
         """Show a tracked frame."""
         tracked = result.tracked
         if tracked.tracked:
-            names = actor.expression_names[: len(tracked.coefficients)]
-            if names != self._names:
-                self._table, self._names = arkit_weights(names), names
-            shape = self.character.shape(self.character.weights(self._table.curves(tracked.coefficients[None]))[0])
+            names, table = actor.expression_names[: len(tracked.coefficients)], self._table
+            if table is None or names != self._names:
+                table = self._table = arkit_weights(names)
+                self._names = names
+            shape = self.character.shape(self.character.weights(table.curves(tracked.coefficients[None]))[0])
             picture = portrait(self.character, shape, self._size, tracked.head_pose[:3, :3], rays=1)
             self._image.value = encode(picture)
 
@@ -142,7 +155,8 @@ class CurvesPane:
     """
 
     def __init__(self) -> None:
-        self._anchor, self._adaptive = deque(maxlen=HISTORY), deque(maxlen=HISTORY)
+        self._anchor: deque[float] = deque(maxlen=HISTORY)
+        self._adaptive: deque[float] = deque(maxlen=HISTORY)
         self.curves = LiveChart(
             ("to anchor space", "to adaptive space"),
             (-HISTORY, 0),

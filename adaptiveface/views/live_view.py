@@ -15,11 +15,11 @@ from ..errors import AdaptiveFaceError, TrackingError
 from ..files import check_output
 from ..live.recorder import LiveRecorder
 from ..live.run import BUILDING, CLOSED, FAILED, OPENING, SCANNING, TRACKING, LiveRun
-from ..live.session import LiveResult
+from ..live.session import LiveResult, LiveSession
 from ..model.actor import Actor
 from ..model.face_model import embedded_face_model
 from ..parameters import Parameters
-from ..sensors.live import LiveSensor
+from ..sensors.live import LiveFrame, LiveSensor
 from .kernel import BackgroundTask, Displayed, on_main_thread, running_loop, strict
 from .live_controls import LiveControls, alert, coverage_bars, dropped_frames, figures, instruction
 from .live_panes import CharacterPane, CurvesPane, InputPane, MeshPane
@@ -73,10 +73,12 @@ class LiveView(Displayed):
         self.result: LiveResult | None = None
         self.drawn = 0
         self._recorder: LiveRecorder | None = None
-        self._shown_state, self._chart_due, self._scan_frame, self._rate = "", 0.0, None, (0.0, 0)
+        self._shown_state, self._chart_due, self._rate = "", 0.0, (0.0, 0)
+        self._scan_frame: LiveFrame | None = None
         self._dropped_before = (0, 0, 0)
         name = sensor if isinstance(sensor, str) or sensor is None else sensor.name
         self.controls = LiveControls(self._set_parameters, parameters, name, character, self._expressions)
+        self.widget = self.controls.widget
         self.input, self.mesh, self.curves = InputPane(), MeshPane(), CurvesPane()
         self._character: CharacterPane | None = None
         self._task = BackgroundTask()
@@ -86,11 +88,6 @@ class LiveView(Displayed):
         self.controls.show(False, False, False)
         if sensor is not None:
             self.start()
-
-    @property
-    def widget(self):
-        """The widget to display."""
-        return self.controls.widget
 
     # ---- what the buttons do, from code as well --------------------------------------------------------------------
     def start(self) -> None:
@@ -118,7 +115,7 @@ class LiveView(Displayed):
             self.record(False)
             self._actor = self.run.actor
             self.run.close()
-            self._show_state()
+            self._show_state(self.run)
             self.run = None
 
     def close(self) -> None:
@@ -200,7 +197,9 @@ class LiveView(Displayed):
                 await self._task.finished()
                 raise TrackingError("the live view was stopped")
             if time.perf_counter() > end:
-                raise TrackingError(f"the live view is still {self.run.state} after {timeout:g} s")
+                raise TrackingError(
+                    f"the live view is still {CLOSED if self.run is None else self.run.state} after {timeout:g} s"
+                )
             await asyncio.sleep(0.02)
         return self
 
@@ -215,27 +214,28 @@ class LiveView(Displayed):
         while True:
             began = time.perf_counter()
             with self._shown():
-                self._step()
+                if self.run is not None:
+                    self._step(self.run)
             await asyncio.sleep(max(1 / PICTURES - (time.perf_counter() - began), 0.005))
 
-    def _step(self) -> None:
+    def _step(self, run: LiveRun) -> None:
         """Draw the newest result."""
-        if self.run.state != self._shown_state:
-            self._show_state()
-        if self.run.state == SCANNING:
-            self._draw_scan()
-        elif self.run.state == BUILDING:
-            step, share = self.run.progress
+        if run.state != self._shown_state:
+            self._show_state(run)
+        if run.state == SCANNING:
+            self._draw_scan(run)
+        elif run.state == BUILDING:
+            step, share = run.progress
             self.controls.status.value = f"building your head: {BUILD_STEPS.get(step, step)} {100 * share:.0f} %"
-        elif self.run.state == TRACKING:
-            self._draw_result()
-        elif self.run.state == FAILED:
-            raise self.run.error
+        elif run.state == TRACKING:
+            self._draw_result(run)
+        elif run.error is not None:
+            raise run.error
 
-    def _draw_scan(self) -> None:
-        guide, guidance, frame = self.run.guide, self.run.guidance, self.run.frame
+    def _draw_scan(self, run: LiveRun) -> None:
+        guide, guidance, frame = run.guide, run.guidance, run.frame
         if guidance is None or frame is self._scan_frame:
-            self._say_trouble(self.run.message)
+            self._say_trouble(run.message)
             return
         self._scan_frame = frame
         self.input.show_scan(frame)
@@ -243,12 +243,14 @@ class LiveView(Displayed):
             self.mesh.show_scan(guide.vertex_coverage, guide.pose)
         self.drawn += 1
         self.controls.progress.value = guidance.progress
-        self.controls.status.value = (_DEGRADED if self.run.colour_only else "") + instruction(guidance)
+        self.controls.status.value = (_DEGRADED if run.colour_only else "") + instruction(guidance)
         self.controls.coverage.value = coverage_bars(guidance.coverage, guidance.step) if guide else ""
 
-    def _draw_result(self) -> None:
-        session, actor = self.run.session, self.run.actor
-        result = None if session is None else session.latest(-1 if self.result is None else self.result.index)
+    def _draw_result(self, run: LiveRun) -> None:
+        session, actor = run.session, run.actor
+        if session is None or actor is None:
+            return
+        result = session.latest(-1 if self.result is None else self.result.index)
         now = time.perf_counter()
         if result is not None:
             self.result = result
@@ -257,15 +259,15 @@ class LiveView(Displayed):
             if self._character is not None:
                 self._character.show(actor, result)
             self.drawn += 1
-        if session is not None and now >= self._chart_due:
-            self._draw_figures(session)
+        if now >= self._chart_due:
+            self._draw_figures(session, actor)
             # On a busy machine this waits, because the face comes first.
             self._chart_due = now + max(1 / CHARTS, 8 * (time.perf_counter() - now))
 
-    def _draw_figures(self, session) -> None:
+    def _draw_figures(self, session: LiveSession, actor: Actor) -> None:
         statistics = session.statistics
         if self.result is not None:
-            self.curves.draw(self.run.actor, self.result, statistics.detect_ms)
+            self.curves.draw(actor, self.result, statistics.detect_ms)
         now, (before, drawn) = time.perf_counter(), self._rate
         self._rate = (now, self.drawn)
         rate = (self.drawn - drawn) / max(now - before, 1e-3)
@@ -277,26 +279,28 @@ class LiveView(Displayed):
         self.controls.figures.value = figures(statistics, dropped, rate, correctives, recorded)
         self._say_trouble(statistics.message)
 
-    def _show_state(self) -> None:
-        state = self._shown_state = self.run.state
+    def _show_state(self, run: LiveRun) -> None:
+        state = self._shown_state = run.state
         self.controls.show(state == SCANNING, state == TRACKING, state not in (FAILED, CLOSED))
         texts = {
-            OPENING: f"opening {self.run.name} ...",
-            TRACKING: f"tracking: {self.run.name}",
+            OPENING: f"opening {run.name} ...",
+            TRACKING: f"tracking: {run.name}",
             CLOSED: "stopped",
             FAILED: "",
             SCANNING: "looking for a face ...",
         }
-        label = _DEGRADED if self.run.colour_only else ""
+        label = _DEGRADED if run.colour_only else ""
         self.controls.status.value = label + html.escape(texts.get(state, state))
         if state == TRACKING:
             self.controls.panel.limit_expressions(self._expressions)
             self.result = None  # the results of another session are counted from zero
-            self._dropped_before = dropped_frames(self.run.session.statistics)  # while the head was being built
-            if self.run.guidance is not None and self.run.guidance.warnings:
-                self.controls.status.value += html.escape(f" ({'; '.join(self.run.guidance.warnings)})")
-            if self.controls.freeze.value and self.run.session is not None:
-                self.run.session.freeze(True)
+            session, guidance = run.session, run.guidance
+            if session is not None:  # None if the run has just ended
+                self._dropped_before = dropped_frames(session.statistics)  # while the head was being built
+                if self.controls.freeze.value:
+                    session.freeze(True)
+            if guidance is not None and guidance.warnings:
+                self.controls.status.value += html.escape(f" ({'; '.join(guidance.warnings)})")
 
     # ---- controls --------------------------------------------------------------------------------------------------
     def _connect(self) -> None:

@@ -67,7 +67,7 @@ class CorrectiveView:
         self._last: tuple | None = None
         self._wanted: tuple[Replay, int] | None = None
         self._task = BackgroundTask()
-        self.amount.observe(on_main_thread(lambda _: self._wanted and self._draw(*self._wanted)), "value")
+        self.amount.observe(on_main_thread(lambda _: self._draw_wanted()), "value")
 
     def update(self, replay: Replay, index: int) -> None:
         """Show the correctives after frame ``index``, soon and at most 2.5 times a second, so that playback does not wait."""
@@ -81,6 +81,10 @@ class CorrectiveView:
         while self._wanted is not None and self._wanted[0].learned_by(self._wanted[1]) != self._last:
             self._draw(*self._wanted)
             await asyncio.sleep(0.4)
+
+    def _draw_wanted(self) -> None:
+        if self._wanted is not None:
+            self._draw(*self._wanted)
 
     def _draw(self, replay: Replay, index: int) -> None:
         model, frontal = replay.model_after(index), self.actor.frontal

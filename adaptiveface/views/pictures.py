@@ -103,10 +103,10 @@ class CameraView:
 
     def _crop(self, image: np.ndarray, frame: RgbdFrame) -> np.ndarray:
         """A window around the face with the view's proportions, which follows only large movements."""
-        seen = frame.features is not None and frame.features.valid.sum() > 5
+        features = frame.features
         half = np.array(self.size) / max(self.size) * min(image.shape[:2]) * 0.42
-        if seen:
-            u0, v0, u1, v1 = frame.features.bounding_box
+        if features is not None and features.valid.sum() > 5:
+            u0, v0, u1, v1 = features.bounding_box
             centre = np.array([u0 + u1, v0 + v1]) / 2
             half = np.array(self.size) / max(self.size) * max(u1 - u0, v1 - v0, 60) * 1.25
             if self._centre is None or np.linalg.norm(centre - self._centre) > 0.3 * half[0]:

@@ -12,6 +12,7 @@ from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
 from ..studies.measures import Measures
 from ..studies.session import Session
+from ..tracking.types import TrackedFrame
 from .face_view import FaceView
 from .kernel import Displayed
 from .player import Player
@@ -46,12 +47,11 @@ class AblationView(Displayed):
         self.session, self.measures = session, Measures(session)
         self.variants = list(variants or [v for v in VARIANTS if v.fit][:6])
         self.frames, parameters = session.frames[:frames], parameters or Parameters()
-        runs: dict[tuple, Replay] = {}
+        runs: dict[tuple, list[TrackedFrame]] = {}
         for variant in self.variants:
             key = tuple(variant.changes.items())
             if key not in runs:
-                runs[key] = Replay(self.frames, session.actor, parameters.replace(**variant.changes))
-                runs[key].run()
+                runs[key] = Replay(self.frames, session.actor, parameters.replace(**variant.changes)).run()
         self._runs = [runs[tuple(variant.changes.items())] for variant in self.variants]
         columns = min(3, len(self.variants))
         shape = (-(-len(self.variants) // columns), columns)
@@ -73,10 +73,10 @@ class AblationView(Displayed):
         """Draw frame ``index`` as every variant tracked it."""
         rows = []
         for pane, (variant, run, title) in enumerate(zip(self.variants, self._runs, self._titles, strict=True)):
-            heat = self.measures.error(run.results[index], self.frames[index], variant.stage)
-            gaze = self._eyes.see(run.results[index], self.frames[index])
+            heat = self.measures.error(run[index], self.frames[index], variant.stage)
+            gaze = self._eyes.see(run[index], self.frames[index])
             gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead if it is unknown
-            self.view.show(pane, getattr(run.results[index], variant.stage), heat, gaze=gaze)
+            self.view.show(pane, getattr(run[index], variant.stage), heat, gaze=gaze)
             name = title if title == variant.name else f"{title} ({variant.name})"
             mean = f"<td style='white-space:nowrap'>{np.nanmean(heat):.3f} mm</td>"
             rows.append(f"<tr><td style='padding-right:1em'>{name}</td>{mean}</tr>")

@@ -52,7 +52,12 @@ class Player:
         self._draw_on_main = on_main_thread(self._draw)
         self.slider.observe(lambda _: self._moved(), "value")
         toggle = on_main_thread(lambda: self.play() if self.button.value else self.pause())
-        self.button.observe(lambda change: (self._label(), toggle()), "value")
+
+        def pressed(_change) -> None:
+            self._label()
+            toggle()
+
+        self.button.observe(pressed, "value")
         self.widget = widgets.HBox(
             [self.button, self.slider, self.loop, self.speed, self.status], layout=widgets.Layout(flex_flow="row wrap")
         )
@@ -123,9 +128,8 @@ class Player:
                 await asyncio.sleep(0.004)  # gives sliders and other tasks their turn
         finally:
             self.slider.value = self._index
-            if (
-                not asyncio.current_task().cancelling()
-            ):  # otherwise it may be playing again, and the button belongs to that playback
+            task = asyncio.current_task()
+            if task is None or not task.cancelling():  # a cancelled one may have a successor, to which the button belongs
                 self.button.value = False
 
     def _step_to(self, position: int) -> None:

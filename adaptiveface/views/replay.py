@@ -89,7 +89,7 @@ class Replay:
         while self.done < len(self.frames):
             self._advance()
         give_memory_back(self.frames)
-        return self.results
+        return [result for result in self.results if result is not None]
 
     def start(self) -> None:
         """Track every frame in the background."""
@@ -116,9 +116,9 @@ class Replay:
         result = self.preview(parameters, index)
         self._task.stop()
         self.parameters = parameters
-        self._keep(index, result)
+        kept = self._keep(index, result)
         self.start()
-        return self.results[index]
+        return self.results[index] or kept  # without an event loop, every frame is tracked by now
 
     def current(self, index: int) -> TrackedFrame | None:
         """The result of frame ``index`` with the current parameters, or None if it was never tracked.
@@ -132,7 +132,10 @@ class Replay:
 
     def _quick_preview(self, index: int) -> TrackedFrame:
         """:meth:`preview` with the stages of the last one, whose matrices cost more than a frame."""
-        before, (known, tracker) = self._history.before(index), self._previewer or (None, None)
+        before = self._history.before(index)
+        if before is None or self._previewer is None:
+            return self.preview(self.parameters, index)
+        known, tracker = self._previewer
         if known != self.parameters or len(tracker.state.coefficients) != len(before.state.coefficients):
             return self.preview(self.parameters, index)
         same_filter = before.parameters.kalman == self.parameters.kalman
@@ -144,8 +147,10 @@ class Replay:
             tracker.wear_personal()
         return tracker.track(self.frames[index])
 
-    def _keep(self, index: int, result: TrackedFrame) -> None:
-        self.results[index], self._made_with[index] = self._keeper.keep(result, self._history.change(index)), self.parameters
+    def _keep(self, index: int, result: TrackedFrame) -> TrackedFrame:
+        kept = self._keeper.keep(result, self._history.change(index))
+        self.results[index], self._made_with[index] = kept, self.parameters
+        return kept
 
     def preview(self, parameters: Parameters, index: int) -> TrackedFrame:
         """Track frame ``index`` with other parameters, starting from the state after the previous frame.
@@ -183,8 +188,7 @@ class Replay:
         index = self.done
         self._history.keep(index, self.tracker, self._last)
         result = self.tracker.track(self.frames[index])
-        self._keep(index, result)
-        self._last = result, self.results[index]
+        self._last = result, self._keep(index, result)
         self.done += 1
         self.on_result(index)
 

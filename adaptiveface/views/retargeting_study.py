@@ -189,7 +189,7 @@ class RetargetingStudy(Displayed):
         """Draw all n faces at the player's frame from the same side, on the page's colour: (pane, n pane, 3) uint8."""
         index = self.player.index
         turn, tilt, zoom = self.view.camera
-        background = tuple(self.view.background)
+        red, green, blue = background = self.view.background
         ink = (60, 60, 60) if sum(background) > 384 else (225, 225, 225)
         rotation = FACING if self.mode.value == SLIDERS else self.results[index].head_pose[:3, :3]
         for axis, degrees in ((0, tilt), (1, -turn)):
@@ -198,7 +198,7 @@ class RetargetingStudy(Displayed):
         for face, shape, title in self.faces(index):
             if face is self._self:
                 face, shape = self._with_insides(shape)
-            pane = portrait(face, shape, self.pane, rotation, rays=1, zoom=zoom, background=background)
+            pane = portrait(face, shape, self.pane, rotation, rays=1, zoom=zoom, background=(red, green, blue))
             panes.append(cv2.putText(pane, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA))
         return np.hstack(panes)
 

@@ -11,7 +11,7 @@ from ..geometry.mesh import transform_points, vertex_normals
 from ..studies.icp import depth_points, displaced, run_icp
 from ..studies.session import Session
 from ..tracking.types import TrackedFrame
-from .charts import LiveChart
+from .charts import LiveChart, Series
 from .face_view import FaceView
 from .neutral_study import _STYLE, _WIDE, _Study
 from .sliders import ValueSlider, linear_steps
@@ -64,9 +64,8 @@ class IcpStudy(_Study):
         goal = transform_points(self.result.head_pose, self._shape)
         errors = [np.linalg.norm(transform_points(pose, self._shape) - goal, axis=1).mean() for pose in self.run.poses]
         rule = (np.array([0, 12]), np.array([3.0, 3.0]))
-        self.chart.update(
-            k, **{"mean residual": self.run.residuals, "stop rule, 3 mm": rule, "error of the pose": np.array(errors)}
-        )
+        lines: dict[str, Series] = {"mean residual": self.run.residuals, "stop rule, 3 mm": rule}
+        self.chart.update(k, **lines, **{"error of the pose": np.array(errors)})
         self.note = (
             f"after {k} step{'s' * (k != 1)}: mean residual {self.run.residuals[k]:.2f} mm over "
             f"{self.run.matches[k]} matches; error of the pose {errors[k]:.2f} mm"

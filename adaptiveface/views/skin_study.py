@@ -86,7 +86,7 @@ def ellipses(shown: SkinFrame, apart: int = 12):
     known = values[:, 1] > np.percentile(values[:, 1], 50)
     along = 1.5 * vectors[known][:, :, 0]  # the direction that the sample does not know
     ends = np.stack([pixels[near[known]] - along, pixels[near[known]] + along], axis=1)
-    close.add_collection(LineCollection(ends, colors="#ff5ad0", linewidths=0.9))
+    close.add_collection(LineCollection(list(ends), colors="#ff5ad0", linewidths=0.9))
     close.set(xlim=(u - 38, u + 38), ylim=(v + 34, v - 34))
     return picture(figure, "Ellipses on the face: small on brows and lips, long along edges, large on plain skin.")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import ipywidgets as widgets
 import numpy as np
@@ -15,12 +15,12 @@ from ..geometry.frame import RgbdFrame
 from ..geometry.polydata import correctives, surface
 from ..insides.gaze import GazeEstimator
 from ..parameters import Parameters
-from ..studies.measures import Measures, Pane, model_features
+from ..studies.measures import Measures, Pane, TunedPane, model_features
 from ..studies.recorded import NAMED
 from ..studies.session import Session
 from ..tracking.types import TrackedFrame
 from ..tracking.verdict import verdict_of
-from .charts import LiveChart
+from .charts import LiveChart, Series
 from .face_view import FaceView
 from .kernel import Displayed, on_main_thread
 from .parameter_panel import ParameterPanel
@@ -36,7 +36,7 @@ LEARNING_STEP = 2
 
 
 #: The function that gives a chart its lines: replay -> name -> values per frame.
-ChartSource = Callable[[Replay], dict[str, np.ndarray]]
+ChartSource = Callable[[Replay], Mapping[str, Series]]
 
 
 class StageExplorer(Displayed):
@@ -52,7 +52,7 @@ class StageExplorer(Displayed):
     controls : sequence of str
         Stages or parameters for the panel.
     panes : dict
-        A :data:`~adaptiveface.studies.measures.Pane` for each title.
+        A :data:`~adaptiveface.studies.measures.Pane` or :class:`~adaptiveface.studies.measures.TunedPane` for each title.
     charts : sequence of (LiveChart, ChartSource)
         Charts over frame numbers, each with the function that gives its lines.
     limits, label : (float, float), str
@@ -75,7 +75,7 @@ class StageExplorer(Displayed):
         self,
         session: Session,
         controls: Sequence[str],
-        panes: dict[str, Pane],
+        panes: Mapping[str, Pane | TunedPane],
         charts: Sequence[tuple[LiveChart, ChartSource]] = (),
         *,
         limits=(0.0, 4.0),
@@ -209,8 +209,11 @@ class StageExplorer(Displayed):
         gaze = self._eyes.see(result, frame)
         gaze = None if gaze is None else np.nan_to_num(gaze)  # straight ahead if it is unknown
         for number, pane in enumerate(self.panes):
-            extra = (self.replay.parameters,) if getattr(pane, "needs_parameters", False) else ()
-            self.view.show(number, *pane(result, frame, *extra), gaze=gaze)
+            if isinstance(pane, TunedPane):
+                vertices, heat = pane.draw(result, frame, self.replay.parameters)
+            else:
+                vertices, heat = pane(result, frame)
+            self.view.show(number, vertices, heat, gaze=gaze)
         self.view.refresh()
         if self.extra is not None:
             self.extra(self.replay, index)
@@ -263,7 +266,7 @@ class StageExplorer(Displayed):
 
     def _update_charts(self, charts: Sequence[tuple[LiveChart, ChartSource]] | None = None) -> None:
         if self.replay.done == len(self.session.frames):
-            self.verdict.value = html.escape(how_many(self.replay.results))
+            self.verdict.value = html.escape(how_many([result for result in self.replay.results if result is not None]))
             self.verdict.layout.display = None if self.verdict.value else "none"
         for chart, source in self.charts if charts is None else charts:
             chart.update(self.player.index, **source(self.replay))
@@ -283,7 +286,8 @@ class SeriesCache:
     """A chart source that computes one number per frame and stage, once for every result."""
 
     def __init__(self, function: Callable, names: Sequence[str]) -> None:
-        self._function, self._names, self._known = function, tuple(names), {}
+        self._function, self._names = function, tuple(names)
+        self._known: dict[int, tuple[TrackedFrame, list[float]]] = {}
 
     def __call__(self, replay: Replay) -> dict[str, np.ndarray]:
         """Values (F,) of each curve by its name; NaN for frames that are not tracked yet."""

@@ -30,7 +30,7 @@ class Shown:
     vertices: np.ndarray
     heat: np.ndarray | None = None
     visible: bool = True
-    cloud: tuple | None = None
+    cloud: tuple[np.ndarray, np.ndarray, np.ndarray | None, int] | None = None
     insides: Insides | None = None
     motion: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -39,7 +39,13 @@ class Still:
     """The camera of a pane of ``size`` px. It turns about the skull and shows ``radius`` mm around ``centre`` (3,)."""
 
     def __init__(
-        self, size, centre: np.ndarray, radius: float, turn: float = 0.0, tilt: float = 0.0, zoom: float = 1.0
+        self,
+        size: tuple[int, int],
+        centre: np.ndarray,
+        radius: float,
+        turn: float = 0.0,
+        tilt: float = 0.0,
+        zoom: float = 1.0,
     ) -> None:
         a, e = np.radians(turn), np.radians(tilt)
         self.away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
@@ -47,8 +53,9 @@ class Still:
         right /= np.linalg.norm(right)
         self._axes = np.stack([right, np.cross(right, self.away), -self.away])  # x right, y down, z forward
         self._pivot = np.asarray(centre, float) - [0.0, 0.0, PIVOT_DEPTH]
-        focal = size[1] / 2 * DISTANCE / radius * zoom
-        self.camera = Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+        wide, high = size
+        focal = high / 2 * DISTANCE / radius * zoom
+        self.camera = Camera(wide, high, focal, focal, (wide - 1) / 2, (high - 1) / 2)
 
     def points(self, positions: np.ndarray) -> np.ndarray:
         """Turn head-frame positions (n, 3) into the camera frame, mm."""
@@ -69,7 +76,7 @@ def picture(still: Still, shown: Shown, triangles: np.ndarray, limits, colourmap
         skin = np.full((len(shown.vertices), 3), SKIN)
         colours = skin if shown.heat is None else heat_map(shown.heat, limits, colourmap)
         vertices = shown.vertices
-        if shown.insides is not None:
+        if shown.insides is not None and shown.motion is not None:
             triangles = np.concatenate([triangles, shown.insides.triangles + len(vertices)])
             colours = np.concatenate([colours, shown.insides.colours])
             vertices = np.concatenate([vertices, placed(shown.insides.rest, shown.insides.part, *shown.motion)])
