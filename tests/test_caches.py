@@ -15,6 +15,8 @@ import pytest
 from numba.core import caching
 
 from adaptiveface.caches import cache_folder, cache_folders, folders
+from adaptiveface.errors import FileFormatError
+from adaptiveface.studies.rendered import RenderedPerformance
 from adaptiveface.studies.session import load_session
 
 PROGRAM = """
@@ -198,6 +200,20 @@ def test_a_damaged_session_is_made_again_and_says_so(tmp_path, capsys, which, da
     np.testing.assert_allclose(same.neutral, actor.neutral, atol=1e-3)
     load()
     assert capsys.readouterr().out == ""
+
+
+def test_the_large_arrays_of_a_kept_performance_stay_on_the_disk(tmp_path):
+    load_session("synthetic:3:none", neutral_frames=2, frames=2, cache=tmp_path)
+    (path,) = tmp_path.iterdir()
+    data = RenderedPerformance.load(path)
+    assert {name for name, values in vars(data).items() if isinstance(values, np.memmap)} == {"depth", "colour"}
+    with np.load(path) as stored:
+        assert list(stored) == list(vars(data)), "the file has the record's arrays in its order"
+        for name, values in vars(data).items():
+            assert stored[name].dtype == values.dtype and np.array_equal(stored[name], values)
+    np.savez(tmp_path / "other.npz", **vars(data) | {"depth": data.depth[0]})
+    with pytest.raises(FileFormatError, match=r"other\.npz: .*'depth'.*480"):
+        RenderedPerformance.load(tmp_path / "other.npz")
 
 
 def test_a_session_that_cannot_be_kept_still_runs(tmp_path, monkeypatch, capsys):

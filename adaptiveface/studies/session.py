@@ -12,17 +12,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from ..caches import cache_folder
 from ..errors import AdaptiveFaceError, FileFormatError
-from ..evaluation import GroundTruth, TruthFrame, neutral_alignment
-from ..files.mapped import release
-from ..files.npz import Field, load_checked, write_npz
+from ..evaluation import GroundTruth, neutral_alignment
+from ..files.npz import write_npz
+from ..files.records import arrays
 from ..geometry.camera import Camera
-from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points
 from ..model.actor import Actor
 from ..parameters import Parameters
@@ -33,36 +33,18 @@ from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
 from ..tracking.types import TrackedFrame
 from .recorded import read_take
-
-if TYPE_CHECKING:
-    from ..synthetic.lesson import LessonSensor
-    from ..synthetic.sensor import SyntheticSensor
+from .rendered import LESSON, RenderedPerformance, StoredFrames
 
 T = TypeVar("T")
 
 #: Environment variable for fewer frames in test runs.
 FAST = "ADAPTIVEFACE_NOTEBOOK_FAST"
-#: Name and length of the performance that was made for watching the correctives.
-LESSON, LESSON_FRAMES = "lesson", 300
+#: Number of frames of the lesson's performance.
+LESSON_FRAMES = 300
 #: Changes with the synthetic sensor and with this file's layout, so that an old cache is not used.
 CACHE_VERSION = 2
 #: Mean distance from the performer's face at which a head belongs to another person, mm. Captured heads lie within 0.5 mm.
 ANOTHER = 1.5
-
-_FIELDS = {
-    "depth": Field(("F", "H", "W"), "u"),
-    "colour": Field(("F", "H", "W", 3), "u"),
-    "pixels": Field(("F", 40, 2)),
-    "confidence": Field(("F", 40)),
-    "intrinsics": Field((4,)),
-    "depth_unit": Field(()),
-    "truth_vertices": Field(("F", "V", 3)),
-    "truth_rigid": Field(("F", 4, 4)),
-    "performance": Field(("F",), "i"),
-    "truth_neutral": Field(("V", 3)),
-}
-#: Arrays that stay on the disk. Kernels that work on the same performance share them.
-_MAPPED = ("depth", "colour", "truth_vertices")
 
 
 def fast() -> bool:
@@ -236,23 +218,20 @@ def _another(session: Session, actor: Actor) -> str:
 def _synthetic(source: str, neutral_frames: int, count: int, cache: Path | None) -> Session:
     """Render or load a performance of ``count`` frames, whose second half repeats the first one."""
     if cache is None:
-        return _session(source, _render(source, neutral_frames, count), neutral_frames, None)
+        return _session(source, RenderedPerformance.render(source, neutral_frames, count), neutral_frames, None)
     asset = Path(__file__).resolve().parents[1] / "assets" / "face_model.npz"
     key = f"{CACHE_VERSION}|{source}|{neutral_frames}|{count}|{hashlib.sha256(asset.read_bytes()).hexdigest()}"
     stem = cache / f"performance-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     data_file, actor_file = stem.with_suffix(".npz"), stem.with_suffix(".actor.npz")
 
-    def load() -> dict[str, np.ndarray] | None:
-        return _cached(data_file, lambda path: load_checked(path, _FIELDS, 2 << 30, mapped=_MAPPED, mapped_from=1 << 20))
-
-    data = load()
+    data = _cached(data_file, RenderedPerformance.load)
     if data is None:
-        data = _render(source, neutral_frames, count)
+        data = RenderedPerformance.render(source, neutral_frames, count)
         with _not_cached():
             cache.mkdir(parents=True, exist_ok=True)
-            write_npz(data_file, data, shared=True)
+            write_npz(data_file, arrays(data), shared=True)
             actor_file.unlink(missing_ok=True)
-            data = load() or data
+            data = _cached(data_file, RenderedPerformance.load) or data
     return _session(source, data, neutral_frames, actor_file)
 
 
@@ -278,112 +257,7 @@ def _not_cached() -> Iterator[None]:
         print(f"not kept for the next time: {error}")
 
 
-def _render(source: str, neutral_frames: int, count: int) -> dict[str, np.ndarray]:
-    from tqdm.auto import tqdm
-
-    sensor, chosen = _performance(source, neutral_frames, count)
-    rows: dict[str, list] = {name: [] for name in ("depth", "colour", "pixels", "confidence", "v", "rigid", "performance")}
-    unit = 0.1
-    with one_blas_thread():
-        for index in tqdm(chosen, desc="rendering the performance (first time only)", unit="frame"):
-            frame, truth = sensor.read(index), sensor.ground_truth(index)
-            values = (
-                np.round(frame.depth / unit).astype(np.uint16),
-                frame.colour,
-                frame.seen.pixels,
-                frame.seen.confidence,
-                truth.vertices.astype(np.float32),
-                truth.head_pose,
-                truth.performance,
-            )
-            for column, value in zip(rows.values(), values, strict=True):
-                column.append(value)
-    neutral = GroundTruth.of(sensor).neutral if neutral_frames else np.zeros((1, 3))
-    c = sensor.camera
-    return dict(
-        depth=np.stack(rows["depth"]),
-        colour=np.stack(rows["colour"]),
-        confidence=np.stack(rows["confidence"]),
-        # Checked files contain no NaN. Hidden features have confidence 0 and any position.
-        pixels=np.nan_to_num(np.stack(rows["pixels"]), nan=-1.0),
-        intrinsics=np.array([c.fx, c.fy, c.cx, c.cy]),
-        depth_unit=np.array(unit),
-        truth_vertices=np.stack(rows["v"]),
-        truth_rigid=np.stack(rows["rigid"]),
-        performance=np.array(rows["performance"], np.int64),
-        truth_neutral=neutral,
-    )
-
-
-def _performance(source: str, neutral_frames: int, count: int) -> tuple[SyntheticSensor | LessonSensor, Sequence[int]]:
-    """The sensor of a synthetic source, and the numbers of the frames to take from it."""
-    from ..synthetic.lesson import LessonSensor
-    from ..synthetic.look import parse_performer
-    from ..synthetic.sensor import SyntheticSensor
-
-    if source == LESSON:
-        lesson = LessonSensor(neutral_frames=neutral_frames)
-        return lesson, range(min(neutral_frames + count, len(lesson)))
-    seed, noise, look = parse_performer(source.partition(":")[2])
-    half = max(count // 2, 1)
-    # The liveliest window of a script that is three times as long, so that expressions have a natural speed.
-    sensor = SyntheticSensor(7 if seed is None else seed, noise or "structured-light", neutral_frames, 3 * half, 2, look=look)
-    first = neutral_frames + liveliest_window(sensor.script, half)
-    return sensor, [*range(neutral_frames), *range(first, first + half), *range(first + 3 * half, first + 4 * half)]
-
-
-def liveliest_window(script: np.ndarray, length: int) -> int:
-    """First frame of the ``length`` frames of a script (F, E) in which the activations change most."""
-    change = np.concatenate([[0.0], np.abs(np.diff(script, axis=0)).sum(axis=1)])
-    sums = np.convolve(change, np.ones(length), mode="valid")
-    return int(sums.argmax())
-
-
-class StoredFrames(Sequence[RgbdFrame]):
-    """Frames whose depth stays in the sensor's integers until a frame is read, which halves the memory."""
-
-    def __init__(self, data: dict, camera: Camera, numbers: range | None = None) -> None:
-        self._data, self._camera = data, camera
-        self._numbers = range(len(data["depth"])) if numbers is None else numbers
-
-    def __len__(self) -> int:
-        return len(self._numbers)
-
-    def __getitem__(self, which):
-        if isinstance(which, slice):
-            return StoredFrames(self._data, self._camera, self._numbers[which])
-        data, i = self._data, self._numbers[which]
-        confidence, colour = data["confidence"][i], np.asarray(data["colour"][i])
-        features = Features2D(np.where((confidence <= 0)[:, None], np.nan, data["pixels"][i]), confidence)
-        depth = data["depth"][i].astype(np.float32) * np.float32(data["depth_unit"])
-        return RgbdFrame(depth, self._camera, colour, i, i / 30.0, features)
-
-    def release(self) -> None:
-        """Release the memory of the mapped file. Its data are read again when they are needed."""
-        for name in _MAPPED:
-            release(self._data[name])
-
-    def __add__(self, other: Sequence[RgbdFrame]) -> list[RgbdFrame]:
-        return [*self, *other]
-
-
-def _session(source: str, data: dict, neutral_frames: int, actor_file: Path | None) -> Session:
-    height, width = data["depth"].shape[1:]
-    camera = Camera(width, height, *map(float, data["intrinsics"]))
-
-    def truth(index: int) -> TruthFrame:
-        """The true head of frame ``index`` in the camera frame, mm; see :class:`TruthFrame`."""
-        return TruthFrame(
-            data["truth_vertices"][index].astype(float), data["truth_rigid"][index], int(data["performance"][index])
-        )
-
-    frames = StoredFrames(data, camera)
-    known = GroundTruth(data["truth_neutral"], truth, len(frames))
-    return Session(
-        f"synthetic performer ({source})",
-        camera,
-        frames[:neutral_frames],
-        frames[neutral_frames:],
-        known,
-        _actor_file=actor_file,
-    )
+def _session(source: str, data: RenderedPerformance, neutral_frames: int, actor_file: Path | None) -> Session:
+    frames, name = StoredFrames(data), f"synthetic performer ({source})"
+    neutral, performed = frames[:neutral_frames], frames[neutral_frames:]
+    return Session(name, data.camera, neutral, performed, data.truth, _actor_file=actor_file)

@@ -13,7 +13,7 @@ import numpy as np
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
 from ..parameters import Parameters
-from ..studies.session import StoredFrames
+from ..studies.rendered import StoredFrames
 from ..tracking.adaptive_pca import AdaptiveModel
 from ..tracking.base import Tracker
 from ..tracking.tracker import FaceTracker
