@@ -27,11 +27,9 @@ def head_angles(rigid: np.ndarray) -> np.ndarray:
 
 def write_arkit_csv(path: str | os.PathLike, performance: Performance) -> None:
     """Write one row per frame, whole or not at all."""
-    eyes = eye_angles(performance.curves) if performance.eyes is None else performance.eyes
     times = performance.start + increasing(performance.timestamps)
-    write_take(
-        path, LiveLinkTake(times, performance.curves, head_angles(performance.head_pose), eyes, np.ones(len(performance), bool))
-    )
+    head, eyes = head_angles(performance.head_pose), performance.eye_angles
+    write_take(path, LiveLinkTake(times, performance.curves, head, eyes, np.ones(len(performance), bool)))
 
 
 def read_arkit_csv(path: str | os.PathLike) -> Performance:

@@ -41,7 +41,9 @@ class Avatar:
             closed = self.file.compressed.obstacle()
             if closed is None:
                 self.face = open_face(self.file, self.nodes, self.rig, self.unit)
-        self.character = self._closed(closed) if closed else self.face.character
+                self.character = self.face.character
+            else:
+                self.character = self._closed(closed)
 
     def _closed(self, reason: str) -> Character:
         note = f"{self.file.path}: its meshes are passed on unopened; it {reason}"

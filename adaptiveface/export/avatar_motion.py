@@ -17,7 +17,7 @@ from ..formats.gltf.container import looks_back
 from ..formats.gltf.file import GltfFile
 from ..formats.gltf.nodes import Nodes
 from ..formats.quaternions import quaternion_matrix, quaternions
-from ..livelink.convention import eye_angles, rotations
+from ..livelink.convention import rotations
 from ..retargeting.gltf_character import OpenFace
 from ..retargeting.retarget import Performance
 from .animation import NECK_SHARE, view_motion
@@ -47,8 +47,7 @@ def avatar_motion(
     facing = np.diag([-1.0, 1.0, -1.0]) if looks_back(file) else np.eye(3)
     view = view_motion(performance.head_pose)
     turned = facing @ view[:, :3, :3] @ facing.T
-    eyes = eye_angles(performance.curves) if performance.eyes is None else performance.eyes
-    gaze = rotations(eyes.reshape(-1, 2, 3))
+    gaze = rotations(performance.eye_angles.reshape(-1, 2, 3))
     motion, rest = AvatarMotion(), _rest_rotations(nodes)
     bones = find_bones(file, nodes)
     if "head" in bones and not any(_carriers(nodes, n) & set(nodes.below(bones["head"])) for n in faces):

@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import IO, Any, cast
 
 import numpy as np
 
@@ -38,13 +40,15 @@ def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tu
     write = "-an -c:v libx264 -pix_fmt yuv420p -preset veryfast -crf 20 -movflags +faststart"
     options = f"-y -hide_banner -nostats -loglevel error {read} {write}".split()
     command = [program, *options, os.fspath(path.absolute())]
-    apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
+    apart: dict[str, Any] = {"start_new_session": True}
+    if sys.platform == "win32":
+        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
     with tempfile.TemporaryFile() as said:
         with CtrlC() as ctrl_c:  # between its start and its name here nobody could end it
             child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **apart)
         try:
             ctrl_c.check()
-            _feed(child, frames)
+            _feed(cast("IO[bytes]", child.stdin), frames)  # a pipe, as Popen was told
             status = child.wait(FINISH_SECONDS)
         except BaseException:
             child.kill()
@@ -61,10 +65,10 @@ def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tu
         raise AdaptiveFaceError(f"ffmpeg ended with status {status}: {why}")
 
 
-def _feed(child: subprocess.Popen, frames: Iterable[np.ndarray]) -> None:
+def _feed(pipe: IO[bytes], frames: Iterable[np.ndarray]) -> None:
     try:
         for frame in frames:
-            child.stdin.write(np.ascontiguousarray(frame))
-        child.stdin.close()
+            pipe.write(np.ascontiguousarray(frame).data)
+        pipe.close()
     except BrokenPipeError:  # ffmpeg has ended, and what it said is why
         pass

@@ -7,6 +7,7 @@ correctly. Lengths are metres; y points up, z towards the viewer (glTF 2.0, sect
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
     names are in ``mesh.extras.targetNames``. Inside parts are the node "insides" beside "head".
     """
     builder, packing = GltfBuilder(), _Packing(mesh, compact)
-    document = {
+    document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"adaptiveface {__version__}"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -131,7 +132,7 @@ def _mesh(builder: GltfBuilder, mesh: AnimatedMesh, packing: _Packing, material:
         )
     primitive = {"attributes": attributes, "indices": builder.accessor(triangles.ravel(), INDICES)}
     primitive["material"] = material
-    entry = {"name": mesh.name, "primitives": [primitive]}
+    entry: dict[str, Any] = {"name": mesh.name, "primitives": [primitive]}
     if targets:
         primitive["targets"] = targets
         entry |= {"weights": [0.0] * len(targets), "extras": {"targetNames": list(mesh.target_names)}}

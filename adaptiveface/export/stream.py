@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +74,9 @@ class Streamer:
         self._weights = arkit_weights(actor.expression_names[:count])
         self._halves = ArkitResolve(actor, parameters or BlendshapeParameters()) if halves else None
         self.unknown = () if halves else self._weights.unknown
-        self._smoothing, self._state, self._before = smoothing, None, None
+        self._smoothing = smoothing
+        self._state: Any = None
+        self._before: float | None = None
         self._start: np.ndarray | None = None
         self._solved: np.ndarray | None = None
         self._sender = Sender(vmc, osc, livelink, avatar)
@@ -128,11 +131,9 @@ class Sender:
         livelink: Address | None = None,
         avatar: VmcAvatar | None = None,
     ) -> None:
-        self._avatar, self._livelink = avatar, livelink
+        self._avatar = avatar
         self._vmc, self._osc = _client(vmc), _client(osc)
-        self._socket = None
-        if livelink is not None:
-            self._socket = socket.socket(socket.AF_INET6 if ":" in livelink.host else socket.AF_INET, socket.SOCK_DGRAM)
+        self._livelink = None if livelink is None else _Datagrams(livelink)
         self.sent = 0
 
     def send(self, state: FaceState) -> None:
@@ -142,12 +143,24 @@ class Sender:
                 _send(self._vmc, vmc_messages(state, self._avatar))
             if self._osc is not None:
                 _send(self._osc, osc_messages(state))
-            if self._socket is not None:
+            if self._livelink is not None:
                 frame = LiveLinkFrame(state.time, state.tracked, state.curves, state.head_angles, state.eye_angles)
-                self._socket.sendto(encode(frame), (self._livelink.host, self._livelink.port))
+                self._livelink.send(encode(frame))
         except OSError as error:
             raise AdaptiveFaceError(f"cannot send the stream: {error}") from None
         self.sent += 1
+
+
+class _Datagrams:
+    """A UDP socket with a destination."""
+
+    def __init__(self, to: Address) -> None:
+        self._to = to.host, to.port
+        self._socket = socket.socket(socket.AF_INET6 if ":" in to.host else socket.AF_INET, socket.SOCK_DGRAM)
+
+    def send(self, content: bytes) -> None:
+        """Send one datagram. Raises OSError."""
+        self._socket.sendto(content, self._to)
 
 
 def check_streaming() -> None:

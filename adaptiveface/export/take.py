@@ -70,11 +70,12 @@ def stream_take(args: argparse.Namespace) -> int:
     _say(take)
     print("\n".join(said(found)))
     turns = take.head_rotations()
-    frames = zip(performance.timestamps, take.tracked, np.clip(performance.curves, 0, 1), turns, performance.eyes, strict=True)
-    for time, tracked, curves, turn, eyes in tqdm(frames, total=len(take), unit="frame", disable=None):
+    curves = np.clip(performance.curves, 0, 1)
+    frames = zip(performance.timestamps, take.tracked, curves, turns, performance.eye_angles, strict=True)
+    for time, tracked, values, turn, eyes in tqdm(frames, total=len(take), unit="frame", disable=None):
         if not args.fast:
             pace.wait(time)
-        sender.send(FaceState(float(take.timestamps[0] + time), bool(tracked), curves, turn, eyes=eyes))
+        sender.send(FaceState(float(take.timestamps[0] + time), bool(tracked), values, turn, eyes=eyes))
     print(f"{sender.sent} frames sent")
     return 0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -37,6 +37,8 @@ _FOURCC = ("vp09", "mp4v")
 
 #: One panel: frame number -> (PANEL, PANEL, 3) uint8 RGB.
 Panel = Callable[[int], np.ndarray]
+#: How long each frame of a GIF is shown, ms.
+Delays = Sequence[int] | np.ndarray
 
 
 def character_panel(mesh: AnimatedMesh) -> Panel:
@@ -100,16 +102,20 @@ def input_panel(source, result: Result) -> Panel:
         """The cropped picture; black where the source has none."""
         try:
             image = read_colour(frame)
-            shot = source.read(frame) if image is None else None
+            if image is None:
+                shot = source.read(frame)
+                image = _nearness(shot.depth, middle[2] + spread, 2 * spread) if shot.colour is None else shot.colour
         except (FrameError, IndexError):
             return np.zeros((PANEL, PANEL, 3), np.uint8)
-        image = shot.colour if image is None else image
-        if image is None:
-            near = np.clip((middle[2] + spread - shot.depth) / (2 * spread), 0, 1) * (shot.depth > 0)
-            image = np.repeat((255 * near)[:, :, None].astype(np.uint8), 3, axis=2)
         return cv2.warpAffine(image, matrix, (PANEL, PANEL), flags=cv2.INTER_LINEAR)
 
     return draw
+
+
+def _nearness(depth: np.ndarray, farthest: float, extent: float) -> np.ndarray:
+    """(H, W, 3) uint8: grey that is the brighter the nearer ``depth`` (H, W) is; black without a measurement."""
+    near = np.clip((farthest - depth) / extent, 0, 1) * (depth > 0)
+    return np.repeat((255 * near)[:, :, None].astype(np.uint8), 3, axis=2)
 
 
 def _framing(result: Result) -> tuple[np.ndarray, float]:
@@ -120,7 +126,7 @@ def _framing(result: Result) -> tuple[np.ndarray, float]:
     return middle, float(np.abs(some - middle).max())
 
 
-def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Iterator[np.ndarray]:
+def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Generator[np.ndarray]:
     """Pictures (PANEL, n PANEL, 3) uint8 RGB with a label on every panel, for frame numbers.
 
     A separate thread draws each panel, in order and a few frames ahead. A frame that is repeated is drawn once.
@@ -171,14 +177,14 @@ def write_film(path: str | Path, panels: Sequence[Panel], labels: Sequence[str],
         write_video(path, _counted(side_by_side(panels, labels, step * shown), bar), rate, delays)
 
 
-def _counted(frames: Iterator[np.ndarray], bar: tqdm) -> Iterator[np.ndarray]:
+def _counted(frames: Generator[np.ndarray], bar: tqdm) -> Iterator[np.ndarray]:
     with closing(frames):
         for frame in frames:
             bar.update()
             yield frame
 
 
-def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, delays: Sequence[int] | None = None) -> None:
+def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, delays: Delays | None = None) -> None:
     """Write RGB frames of one even size as ``.mp4`` or ``.gif``, whole or not at all.
 
     A ``.gif`` shows each frame for ``delays``, ms; without them, at most 15 of the ``fps`` frames per second are shown. MP4 is
@@ -198,7 +204,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, dela
             _write_mp4(temporary, path, frames, fps)
 
 
-def _write_gif(temporary: Path, frames: Iterable[np.ndarray], fps: float, delays: Sequence[int] | None) -> None:
+def _write_gif(temporary: Path, frames: Iterable[np.ndarray], fps: float, delays: Delays | None) -> None:
     from PIL import Image
 
     images = [Image.fromarray(cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)) for f in frames]
@@ -235,7 +241,7 @@ def _write_mp4(temporary: Path, path: Path, frames: Iterator[np.ndarray], fps: f
 
 def _write_opencv(temporary: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float) -> None:
     for fourcc in _FOURCC:
-        writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*fourcc), fps, size)
+        writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*fourcc), fps, size)
         if writer.isOpened():
             break
     else:

@@ -19,7 +19,7 @@ FREE_BYTES, MOST_PER_BYTE = 64 << 20, 100
 class _Stream(io.BufferedReader):
     """A stream that refuses to read more than ``limit`` bytes at once. zipfile reads the list of members in one piece."""
 
-    limit = None
+    limit: int | None = None
 
     def read(self, count: int | None = -1) -> bytes:
         """Read as any stream does."""
@@ -42,7 +42,8 @@ class Archive(zipfile.ZipFile):
     """
 
     def __init__(self, path: str | os.PathLike, max_bytes: int, max_directory_bytes: int = 1 << 20) -> None:
-        self.path, self._unexplained = Path(path), {}
+        self.path = Path(path)
+        self._unexplained: dict[str, int] = {}
         self._stream = _Stream(open_regular(path, max_bytes).detach())
         self._stream.limit = max(max_directory_bytes, 1 << 17)
         try:

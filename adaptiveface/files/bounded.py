@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import stat
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from ..errors import FileFormatError
 
 
-def open_regular(path: str | os.PathLike, max_bytes: int) -> BinaryIO:
+def open_regular(path: str | os.PathLike, max_bytes: int) -> io.BufferedReader:
     """Open a regular file of at most ``max_bytes`` bytes for reading in binary mode. Links are followed.
 
     Raises

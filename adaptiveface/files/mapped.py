@@ -66,7 +66,7 @@ def map_member(
     checksum = zlib.crc32(header)
     for _, block in blocks(array):
         look(block)
-        checksum = zlib.crc32(block, checksum)
+        checksum = zlib.crc32(block.data, checksum)
     if checksum != info.CRC:
         raise FileFormatError(f"{path}: the checksum of '{info.filename}' is wrong: the file is damaged")
     return array
@@ -106,12 +106,11 @@ def release(array: np.ndarray) -> None:
         mapping.madvise(mmap.MADV_DONTNEED)
 
 
-def _mapping(array: np.ndarray | None) -> mmap.mmap | None:
-    while array is not None:
-        if isinstance(array, np.memmap):
-            return array._mmap if array.mode != "c" else None  # changes in a copy would be lost
-        array = getattr(array, "base", None)
-        if isinstance(array, mmap.mmap):
-            return array
-        array = array if isinstance(array, np.ndarray) else None
-    return None
+def _mapping(array: np.ndarray) -> mmap.mmap | None:
+    """The mapping that holds the array's memory; None for memory of its own, or pages that would lose changes."""
+    base: object = array
+    while isinstance(base, np.ndarray):
+        if isinstance(base, np.memmap) and base.mode == "c":
+            return None
+        base = base.base
+    return base if isinstance(base, mmap.mmap) else None

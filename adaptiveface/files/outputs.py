@@ -15,6 +15,8 @@ from .bounded import open_regular
 from .folders import make_parent
 
 _HEAD_BYTES = 512
+#: What a command reads: a file, a sensor's name, or nothing.
+Input = str | os.PathLike[str] | None
 
 
 def _npz(*members: str) -> Callable[[Path], bool]:
@@ -60,7 +62,7 @@ KINDS: dict[str, tuple[tuple[str, ...], str, Callable[[Path], bool]]] = {
 }
 
 
-def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
+def check_output(path: Path, kind: str, inputs: Iterable[Input] = ()) -> Path:
     """Refuse an output file that cannot or must not be written, and create its folder.
 
     Parameters
@@ -94,7 +96,7 @@ def check_output(path: Path, kind: str, inputs: Iterable[object] = ()) -> Path:
     return path
 
 
-def check_output_folder(path: Path, ours: Callable[[str], bool], inputs: Iterable[object] = ()) -> Path:
+def check_output_folder(path: Path, ours: Callable[[str], bool], inputs: Iterable[Input] = ()) -> Path:
     """Refuse an output folder that is a file, is an input, or holds files for which ``ours(name)`` is false."""
     check_no_input(path, inputs)
     check_holds_only(path, ours)
@@ -102,7 +104,7 @@ def check_output_folder(path: Path, ours: Callable[[str], bool], inputs: Iterabl
     return path
 
 
-def check_new_folder(path: Path, inputs: Iterable[object] = ()) -> Path:
+def check_new_folder(path: Path, inputs: Iterable[Input] = ()) -> Path:
     """Refuse an output folder that already holds any file."""
     check_no_input(path, inputs)
     if os.path.exists(path) and not os.path.isdir(path):
@@ -122,7 +124,7 @@ def check_folder(path: Path) -> Path:
     return path
 
 
-def check_no_input(path: Path, inputs: Iterable[object]) -> None:
+def check_no_input(path: Path, inputs: Iterable[Input]) -> None:
     """Raise :class:`AdaptiveFaceError` if ``path`` is the same file as one of the ``inputs``, under any name."""
     for given in inputs:
         texts = () if given is None else (os.fspath(given), os.fspath(given).partition(":")[2])  # "azure:FILE"

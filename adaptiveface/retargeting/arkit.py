@@ -75,8 +75,8 @@ def arkit_weights(names: Sequence[str], model: FaceModel | None = None) -> Arkit
     for row, name in zip(matrix, names, strict=True):
         if name in generic:
             row[:] = generic[name]
-        elif canonical_name(name):
-            row[_NUMBER[canonical_name(name)]] = 1.0
+        elif known := canonical_name(name):
+            row[_NUMBER[known]] = 1.0
         else:
             unknown.append(name)
     if len(unknown) == len(names):

@@ -108,8 +108,7 @@ class Character:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Expressions that no ARKit shape drives: they stay at zero."""
-        driven = self.rows.any(axis=1)
-        return tuple(name for name, moves in zip(self.expression_names, driven, strict=True) if not moves)
+        return tuple(name for name, row in zip(self.expression_names, self.rows, strict=True) if not row.any())
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -173,7 +172,11 @@ def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Char
 
 
 def make_character(
-    name: str, neutral: np.ndarray, triangles: np.ndarray, shapes: Sequence[tuple[str, np.ndarray]], **options
+    name: str,
+    neutral: np.ndarray,
+    triangles: np.ndarray,
+    shapes: Sequence[tuple[str, np.ndarray]],
+    notes: Sequence[str] = (),
 ) -> Character:
     """A character from target meshes: ``shapes`` of (name, displacement (V, 3) mm), each name once.
 
@@ -181,7 +184,7 @@ def make_character(
     the whole is there too: :func:`adaptiveface.retargeting.shape_names.driven_shapes` decides, and ``notes`` say it.
     """
     names = [shape for shape, _ in shapes]
-    chosen, notes = driven_shapes(names)
+    chosen, merged_notes = driven_shapes(names)
     merged: dict[str, list[int]] = {}
     for number, shape in enumerate(names):
         key = f"driven {chosen[number].nonzero()[0].tolist()}" if number in chosen else shape
@@ -192,8 +195,7 @@ def make_character(
         out += sum(shapes[number][1] for number in numbers)
     labels = tuple(names[n[0]] if len(n) == 1 else canonical_name(names[n[0]]) or names[n[0]] for n in parts)
     mix = np.array([chosen.get(n[0], np.zeros(len(ARKIT_NAMES))) for n in parts]).reshape(-1, len(ARKIT_NAMES))
-    notes = (*options.pop("notes", ()), *notes)
-    return Character(name, neutral, triangles, labels, expressions, notes=notes, mix=mix, **options)
+    return Character(name, neutral, triangles, labels, expressions, notes=(*notes, *merged_notes), mix=mix)
 
 
 __getattr__ = old_objects(__name__)

@@ -88,7 +88,7 @@ def face_rig(file: GltfContainer) -> FaceRig:
     for mesh in counts:
         live = [target for target in range(counts[mesh]) if (mesh, target) not in empty]
         chosen, said = driven_shapes([names[mesh][target] for target in live])
-        rows = {live[number]: row for number, row in chosen.items()}
+        rows: dict[int, np.ndarray | None] = {live[number]: row for number, row in chosen.items()}
         rows |= {target: arkit_row(names[mesh][target]) for m, target in empty if m == mesh}
         notes |= dict.fromkeys(said)
         for target, name in enumerate(names[mesh]):
@@ -173,7 +173,7 @@ def target_names(file: GltfContainer, mesh: dict) -> list[str]:
     places = [extras(place).get("targetNames") for place in (mesh, *primitives)]
     listed = next((names for names in places if names), None)
     if listed is None:  # each target's own extras, or the name of its accessor
-        targets = next((p["targets"] for p in primitives if p.get("targets")), [])
+        targets: list[dict] = next((p["targets"] for p in primitives if p.get("targets")), [])
         listed = [extras(target).get("name") or _accessor_name(file, target) for target in targets]
         listed = [name if isinstance(name, str) else f"target{k}" for k, name in enumerate(listed)]
     if not isinstance(listed, list) or not all(isinstance(name, str) and len(name) <= 256 for name in listed):
@@ -209,5 +209,6 @@ def vrm_expressions(file: GltfContainer) -> list[tuple[str, str | None, dict[tup
 def _object(value: dict, *keys: str) -> dict:
     """The object at the end of a path of keys, {} where there is none."""
     for key in keys:
-        value = value.get(key) if isinstance(value, dict) else None
-    return value if isinstance(value, dict) else {}
+        below = value.get(key)
+        value = below if isinstance(below, dict) else {}
+    return value

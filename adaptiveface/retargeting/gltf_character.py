@@ -121,15 +121,16 @@ class _Holders:
 
     def count(self, piece: Piece, shape: np.ndarray, expression: Expression) -> None:
         """Add what the displacements ``shape`` (V, 3) of an expression move."""
-        if piece.joints is None or not expression.driven:
+        held = piece.held
+        if held is None or not expression.driven:
             return
         length = np.linalg.norm(shape, axis=1)
         moving = length > 0.05 * max(length.max(initial=0.0), 1e-9)
-        for joints, shares in zip(piece.joints[moving].T, piece.shares[moving].T, strict=True):
+        for joints, shares in zip(held.joints[moving].T, held.shares[moving].T, strict=True):
             for joint in np.unique(joints[shares > 0]):
                 self._held[joint] = self._held.get(joint, 0.0) + float(shares[joints == joint].sum())
         if expression.row[_GAZE].any():
-            strongest = piece.joints[moving, piece.shares[moving].argmax(axis=1)]
+            strongest = held.joints[moving, held.shares[moving].argmax(axis=1)]
             self.eyes |= set(np.unique(strongest).tolist())
 
     def carrier(self) -> int | None:
@@ -169,8 +170,8 @@ def _heads(file: GltfFile, nodes: Nodes, pieces: list[Piece], unit: float) -> li
     below = nodes.below(head)
     parts = []
     for piece in pieces:
-        if piece.joints is not None and piece.has_targets:
-            carried = (piece.shares * np.isin(piece.joints, below)).sum(axis=1) > 0.5
+        if piece.held is not None and piece.has_targets:
+            carried = (piece.held.shares * np.isin(piece.held.joints, below)).sum(axis=1) > 0.5
             piece = piece.only(carried)
         if len(piece.triangles):
             parts.append(piece)

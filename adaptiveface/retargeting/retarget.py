@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ParameterError
-from ..livelink.convention import eyes_of_gaze, with_look
+from ..livelink.convention import eye_angles, eyes_of_gaze, with_look
 from ..model.actor import Actor
 from ..renamed import renamed
 from ..result import Result
@@ -62,6 +62,11 @@ class Performance:
     def fps(self) -> float:
         """Frames per second of the recording, rounded to a standard rate that is close."""
         return frame_rate(self.timestamps)
+
+    @property
+    def eye_angles(self) -> np.ndarray:
+        """(F, 6) angles of the eyes, radians, as measured; computed from the curves where nothing was measured."""
+        return eye_angles(self.curves) if self.eyes is None else self.eyes
 
     def table(self) -> DataFrame:
         """The ARKit curves as a ``DataFrame`` with a row per frame, indexed by time (needs the extra ``pandas``)."""

@@ -31,10 +31,10 @@ def arkit_row(name: str) -> np.ndarray | None:
 
 
 def _of_halves(name: str) -> dict[str, float]:
-    halves = [canonical_name(f"{name}{side}") for side in ("Left", "Right")]
-    if None in halves or halves[0] == halves[1] or halves[0] in ("jawLeft", "mouthLeft"):  # directions, not halves
+    left, right = (canonical_name(f"{name}{side}") for side in ("Left", "Right"))
+    if left is None or right is None or left == right or left in ("jawLeft", "mouthLeft"):  # directions, not halves
         return {}
-    return dict.fromkeys(halves, 0.5)
+    return {left: 0.5, right: 0.5}
 
 
 def letters(name: str) -> str:
@@ -44,7 +44,7 @@ def letters(name: str) -> str:
 
 def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str]]:
     """Number in ``names`` -> its row (52,) for the shapes of one mesh that are driven, and notes about the others."""
-    rows = {number: arkit_row(name) for number, name in enumerate(names)}
+    rows = {number: row for number, name in enumerate(names) if (row := arkit_row(name)) is not None}
     direct = {number: canonical_name(name) for number, name in enumerate(names)}
     chosen: dict[int, np.ndarray] = {}
     notes = []
@@ -60,7 +60,7 @@ def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str
             notes.append(f"{' + '.join(names[n] for n in kept)} make {arkit}")
     covered = sum(chosen.values(), np.zeros(len(ARKIT_NAMES)))
     for number, row in rows.items():
-        if row is None or direct[number]:
+        if direct[number]:
             continue
         if covered[row > 0].any():  # a half is there, or the same in another spelling
             notes.append(f"not driven, because others show the same: {names[number]}")

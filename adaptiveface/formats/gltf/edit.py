@@ -45,7 +45,7 @@ class GltfEdit:
     def accessor(self, array: np.ndarray, bounds: bool = False) -> int:
         """Number of a new accessor with the float32 values of ``array``, (n,) or (n, width); equal ones are shared."""
         array = np.ascontiguousarray(array, np.float32)
-        key = (array.shape, bounds, hashlib.sha256(array).digest())
+        key = (array.shape, bounds, hashlib.sha256(array.data).digest())
         if key not in self._known:
             kind = "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
             entry = {
@@ -69,7 +69,8 @@ class GltfEdit:
     def add_animation(self, name: str, times: np.ndarray, tracks: list[tuple[int, str, np.ndarray]]) -> None:
         """Add an animation: times (F,) s, and for each node and path its values (F, width)."""
         clock = self.accessor(times, bounds=True)
-        samplers, channels = [], []
+        samplers: list[dict] = []
+        channels: list[dict] = []
         numbers: dict[int, int] = {}
         for node, path, values in tracks:
             output = self.accessor(values.ravel() if path == "weights" else values)

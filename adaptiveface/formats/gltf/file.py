@@ -35,9 +35,9 @@ class GltfFile(GltfContainer):
         stride = self.whole(view, "byteStride", element, 252, element) if "byteStride" in view else element
         if offset + (count - 1) * stride + element > size:
             raise self.error(f"an accessor of {count} elements does not fit into the {size} bytes of its buffer view")
-        data, start = self.compressed.view(index), 0
-        if data is None:
-            data, start = self.buffer(view.get("buffer")), self.whole(view, "byteOffset", 0, MAX_FILE_BYTES, 0)
+        decoded = self.compressed.view(index)
+        data = self.buffer(view.get("buffer")) if decoded is None else memoryview(decoded)
+        start = self.whole(view, "byteOffset", 0, MAX_FILE_BYTES, 0) if decoded is None else 0
         if start + size > len(data):
             raise self.error(f"buffer view {index} ends at byte {start + size} of {len(data)}")
         return np.ndarray((count, width), dtype, data, start + offset, (stride, dtype.itemsize))

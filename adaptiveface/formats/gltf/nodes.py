@@ -59,7 +59,8 @@ class Nodes:
 
     def _below(self, roots: list[int]) -> list[int]:
         """The nodes and all below them, parents first, each once."""
-        stack, out = list(reversed(roots)), {}
+        stack = list(reversed(roots))
+        out: dict[int, None] = {}
         while stack:
             number = stack.pop()
             if number not in out:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,12 +17,20 @@ MAX_JOINT_SETS = 8
 
 
 @dataclass
+class Held:
+    """The nodes (V, K) that hold each of V vertices as joints of a skin, and the share (V, K) of each. Shares sum to 1."""
+
+    joints: np.ndarray
+    shares: np.ndarray
+
+
+@dataclass
 class Piece:
     """One primitive of triangles that the default scene shows: V vertices.
 
     node, mesh: where it comes from; vertices (V, 3) and linear ((3, 3) or (V, 3, 3)), which turns displacements as the
-    vertices were turned, both in the file's unit; triangles (T, 3); colours (V, 3) uint8 sRGB or None; joints, shares (V, K):
-    the nodes that hold a vertex, and by how much, None without a skin; kept (V,): numbers of the vertices in the file.
+    vertices were turned, both in the file's unit; triangles (T, 3); colours (V, 3) uint8 sRGB or None; held: None without a
+    skin; kept (V,): numbers of the vertices in the file; count: how many the file has.
     """
 
     node: int
@@ -32,8 +40,7 @@ class Piece:
     linear: np.ndarray
     triangles: np.ndarray
     colours: np.ndarray | None
-    joints: np.ndarray | None
-    shares: np.ndarray | None
+    held: Held | None
     kept: np.ndarray
     count: int
 
@@ -55,20 +62,15 @@ class Piece:
         """The piece without the vertices that are not ``chosen`` (V,), and without the triangles that touch them."""
         place = np.cumsum(chosen) - 1
         triangles = place[self.triangles[chosen[self.triangles].all(axis=1)]].astype(np.int32)
-        part = {
-            name: None if (rows := getattr(self, name)) is None or rows.ndim < 2 else rows[chosen]
-            for name in ("vertices", "colours", "joints", "shares")
-        }
-        linear = self.linear if self.linear.ndim == 2 else self.linear[chosen]
-        return Piece(
-            self.node,
-            self.mesh,
-            self.primitive,
-            linear=linear,
+        held = self.held
+        return replace(
+            self,
+            vertices=self.vertices[chosen],
+            linear=self.linear if self.linear.ndim == 2 else self.linear[chosen],
             triangles=triangles,
+            colours=None if self.colours is None else self.colours[chosen],
+            held=None if held is None else Held(held.joints[chosen], held.shares[chosen]),
             kept=self.kept[chosen],
-            count=self.count,
-            **part,
         )
 
 
@@ -103,12 +105,12 @@ def _piece(file: GltfFile, nodes: Nodes, number: int, primitive: dict) -> Piece:
         raise file.error("POSITION does not hold three coordinates")
     count = len(points)
     triangles = file.triangles(primitive, count, corners)
-    transform, joints, shares = nodes.world[number], None, None
+    transform, held = nodes.world[number], None
     if "skin" in node and "JOINTS_0" in primitive["attributes"]:
         sets = [k for k in range(MAX_JOINT_SETS) if f"JOINTS_{k}" in primitive["attributes"]]
         slots = np.column_stack([attribute(f"JOINTS_{k}", count) for k in sets])
         shares = np.column_stack([attribute(f"WEIGHTS_{k}", count) for k in sets]).astype(float)
-        joints, transform = _skinned(file, nodes, node["skin"], slots, shares)
+        held, transform = _skinned(file, nodes, node["skin"], slots, shares)
     vertices = _turned(transform[..., :3, :3], points) + transform[..., :3, 3]
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e7:
         raise file.error("vertices that are absurdly far away")
@@ -116,11 +118,14 @@ def _piece(file: GltfFile, nodes: Nodes, number: int, primitive: dict) -> Piece:
     if np.median(np.linalg.det(linear)) < 0:  # a mirrored node turns triangles inside out
         triangles = triangles[:, ::-1]
     colours = srgb_colours(attribute("COLOR_0", count)[:, :3]) if "COLOR_0" in primitive["attributes"] else None
-    return Piece(number, node["mesh"], primitive, vertices, linear, triangles, colours, joints, shares, np.arange(count), count)
+    return Piece(number, node["mesh"], primitive, vertices, linear, triangles, colours, held, np.arange(count), count)
 
 
-def _skinned(file: GltfFile, nodes: Nodes, skin, slots: np.ndarray, shares: np.ndarray):
-    """Nodes (V, K) that hold each vertex, and its transform (V, 4, 4): joint world times inverse bind (3.7.3.3)."""
+def _skinned(file: GltfFile, nodes: Nodes, skin, slots: np.ndarray, shares: np.ndarray) -> tuple[Held, np.ndarray]:
+    """What holds each vertex, and its transform (V, 4, 4): joint world times inverse bind (glTF 2.0, 3.7.3.3).
+
+    ``slots`` (V, K) are numbers of the skin's joints, ``shares`` (V, K) as the file has them.
+    """
     listed, entry = nodes.joints(skin), file.item("skins", skin)
     if slots.dtype.kind != "u" or slots.shape != shares.shape or slots.max() >= len(listed):
         raise file.error(f"JOINTS_0 points outside the {len(listed)} joints of its skin")
@@ -132,12 +137,12 @@ def _skinned(file: GltfFile, nodes: Nodes, skin, slots: np.ndarray, shares: np.n
         inverse = matrices[: len(listed)].astype(float).reshape(-1, 4, 4).transpose(0, 2, 1)
     placed = np.stack([nodes.world[joint] for joint in listed]) @ inverse
     total = shares.sum(axis=1, keepdims=True)
-    shares /= np.where(np.abs(total) > 1e-6, total, 1.0)  # in place: what the caller keeps adds up to one
+    shares = shares / np.where(np.abs(total) > 1e-6, total, 1.0)
     file.spend(16 * len(slots))
     transform = np.zeros((len(slots), 4, 4))
     for slot, share in zip(slots.T, shares.T, strict=True):
         transform += share[:, None, None] * placed[slot]
-    return np.array(listed)[slots], transform
+    return Held(np.array(listed)[slots], shares), transform
 
 
 def _turned(linear: np.ndarray, vectors: np.ndarray) -> np.ndarray:
