@@ -42,39 +42,47 @@ def run_export(args: argparse.Namespace) -> int:
         args.character, _coefficients(args, actor), _smoothing(args), args.correctives, UNITS.get(args.unit), args.insides
     )
     if args.format == "arkit-csv":
-        from .arkit_csv import write_arkit_csv
-
-        performance = retarget(result, options.coefficients, options.smoothing, actor)
-        if performance.unknown:
-            print(f"no ARKit counterpart: {', '.join(performance.unknown)}")
-        write_arkit_csv(out, performance)
-        print(f"{out}: {len(performance)} frames")
-        return 0
-    if args.format in ("mp4", "gif"):
-        from ..sensors import open_source
-        from ..sensors.orientation import as_tracked
-
-        source = as_tracked(open_source(args.source, args.fov), result) if args.source else None
-        if source is not None and len(source) != len(result):
-            raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
-        meshes = [] if args.character == "actor" else [animated(result, actor, options)]
-        if args.compare and meshes:
-            names = COEFFICIENTS[::-1]
-            meshes = [animated(result, actor, replace(options, coefficients=name)) for name in names]
-            meshes = [replace(m, name=f"{m.name}, {name}") for m, name in zip(meshes, names, strict=True)]
-        write_performance_video(out, result, meshes, source, args.turntable, actor=actor, insides=args.insides)
-        print(f"{out}: {len(result)} frames")
-        return 0
-    if args.format == "glb" and options.avatar:
+        _write_curves(out, result, actor, options)
+    elif args.format in ("mp4", "gif"):
+        _write_film(out, args, result, actor, options)
+    elif args.format == "glb" and options.avatar:
         table = arkit_weights(driving_names(result, options.coefficients))
         write_avatar(
             out, options, lambda: retarget(result, options.coefficients, options.smoothing, actor), lambda c: coverage(table, c)
         )
-        return 0
-    mesh = animated(result, actor, options)
-    write_mesh(out, mesh, args.format, args.out_unit, args.compact, args.meshopt)
-    print(f"{out}: {mesh.description}")
+    else:
+        mesh = animated(result, actor, options)
+        write_mesh(out, mesh, args.format, args.out_unit, args.compact, args.meshopt)
+        print(f"{out}: {mesh.description}")
     return 0
+
+
+def _write_curves(out: Path, result: Result, actor: Actor | None, options: ExportOptions) -> None:
+    """Write the curves as a take of Live Link Face. Prints which expressions will not show."""
+    from .arkit_csv import write_arkit_csv
+
+    performance = retarget(result, options.coefficients, options.smoothing, actor)
+    if performance.unknown:
+        print(f"no ARKit counterpart: {', '.join(performance.unknown)}")
+    write_arkit_csv(out, performance)
+    print(f"{out}: {len(performance)} frames")
+
+
+def _write_film(out: Path, args: argparse.Namespace, result: Result, actor: Actor | None, options: ExportOptions) -> None:
+    """Write a film of the tracked mesh, and of the source and the characters that the options ask for."""
+    from ..sensors import open_source
+    from ..sensors.orientation import as_tracked
+
+    source = as_tracked(open_source(args.source, args.fov), result) if args.source else None
+    if source is not None and len(source) != len(result):
+        raise ParameterError(f"{source.name} has {len(source)} frames, the result {len(result)}: another recording")
+    meshes = [] if args.character == "actor" else [animated(result, actor, options)]
+    if args.compare and meshes:
+        names = COEFFICIENTS[::-1]
+        meshes = [animated(result, actor, replace(options, coefficients=name)) for name in names]
+        meshes = [replace(m, name=f"{m.name}, {name}") for m, name in zip(meshes, names, strict=True)]
+    write_performance_video(out, result, meshes, source, args.turntable, actor=actor, insides=args.insides)
+    print(f"{out}: {len(result)} frames")
 
 
 def _timed(result: Result, path: Path) -> Result:

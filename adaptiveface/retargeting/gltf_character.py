@@ -74,27 +74,14 @@ def open_face(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> OpenFa
         raise file.error("no mesh of its scene has morph targets; export it with its shape keys (blend shapes)")
     everything = {piece.node for piece in pieces}
     pieces, notes = _near_the_face(_heads(file, nodes, pieces, unit))
-    holders = _Holders()
-    turn = unit * np.array([-1.0, 1.0, -1.0] if looks_back(file) else [1.0, 1.0, 1.0])
     starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
-    file.spend(3 * int(starts[-1]) * len(rig.expressions), zeros=True)
-    shapes = np.zeros((len(rig.expressions), starts[-1], 3))
-    neutral = np.concatenate([piece.vertices for piece in pieces])
-    for start, piece in zip(starts, pieces, strict=False):
-        part = slice(start, start + len(piece.vertices))
-        rest, driven = rest_weights(file, nodes, rig, piece.node), set(rig.driven_targets(piece.mesh))
-        users = _users(rig, piece.mesh)
-        for target, shape in piece.displacements(file):
-            if target not in driven and rest[target]:
-                neutral[part] += rest[target] * shape
-            for expression, weight in users.get(target, ()):
-                shapes[expression, part] += weight * shape
-                holders.count(piece, shape, rig.expressions[expression])
+    neutral, shapes, holders = _shapes(file, nodes, rig, pieces, starts)
     triangles = np.concatenate([s + p.triangles for s, p in zip(starts, pieces, strict=False)]).astype(np.int32)
     colours = None
     if any(piece.colours is not None for piece in pieces):
         colours = np.concatenate([_colours(piece) for piece in pieces])
     middle = (neutral.min(axis=0) + neutral.max(axis=0)) / 2
+    turn = unit * np.array([-1.0, 1.0, -1.0] if looks_back(file) else [1.0, 1.0, 1.0])
     neutral *= turn
     shapes *= turn
     character = Character(
@@ -110,6 +97,30 @@ def open_face(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> OpenFa
     )
     head = {piece.node for piece in pieces}
     return OpenFace(character, tuple(notes), head, head == everything, middle, holders.eyes, holders.carrier())
+
+
+def _shapes(
+    file: GltfFile, nodes: Nodes, rig: FaceRig, pieces: list[Piece], starts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, _Holders]:
+    """The neutral (V, 3) of all pieces, the displacements (E, V, 3) of the rig's expressions, and what holds them.
+
+    ``starts`` (P + 1,) are the numbers of the pieces' first vertices. What nothing drives keeps its weight at rest.
+    """
+    file.spend(3 * int(starts[-1]) * len(rig.expressions), zeros=True)
+    shapes = np.zeros((len(rig.expressions), starts[-1], 3))
+    neutral = np.concatenate([piece.vertices for piece in pieces])
+    holders = _Holders()
+    for start, piece in zip(starts, pieces, strict=False):
+        part = slice(start, start + len(piece.vertices))
+        rest, driven = rest_weights(file, nodes, rig, piece.node), set(rig.driven_targets(piece.mesh))
+        users = _users(rig, piece.mesh)
+        for target, shape in piece.displacements(file):
+            if target not in driven and rest[target]:
+                neutral[part] += rest[target] * shape
+            for expression, weight in users.get(target, ()):
+                shapes[expression, part] += weight * shape
+                holders.count(piece, shape, rig.expressions[expression])
+    return neutral, shapes, holders
 
 
 class _Holders:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...files import replacing
 from .container import write_chunks
-from .file import COMPONENTS
+from .layout import COMPONENTS
 
 #: What a buffer view holds: attributes of vertices, or numbers of vertices.
 ATTRIBUTE, INDICES = 34962, 34963

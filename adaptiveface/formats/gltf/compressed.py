@@ -6,15 +6,12 @@ Sizes that the file declares are compared with what the compressed data say of t
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...errors import MissingExtraError
 from .container import MAX_FILE_BYTES, extensions
-
-if TYPE_CHECKING:
-    from .file import GltfFile
+from .layout import GltfLayout
 
 DRACO = "KHR_draco_mesh_compression"
 #: The second is the name under which Khronos took the first over.
@@ -44,7 +41,7 @@ def _library(name: str):
 class Compressed:
     """What is compressed in a file."""
 
-    def __init__(self, file: GltfFile) -> None:
+    def __init__(self, file: GltfLayout) -> None:
         self._file = file
         self._views: dict[int, bytes] = {}
 

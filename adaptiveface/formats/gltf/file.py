@@ -7,24 +7,18 @@ from pathlib import Path
 import numpy as np
 
 from .compressed import Compressed
-from .container import MAX_FILE_BYTES, GltfContainer
+from .container import MAX_FILE_BYTES
+from .layout import COMPONENTS, GltfLayout
 
-MAX_VALUES = 100_000_000
-#: Values that are zero without any data in the file: this many, and so many more for every byte of it.
-FREE_ZEROS, ZEROS_PER_BYTE = 10_000_000, 64
-_TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-#: Number of a component type in files, and the type.
-COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 #: Kinds of primitives that are made of triangles.
 TRIANGLES, STRIP, FAN = 4, 5, 6
 
 
-class GltfFile(GltfContainer):
+class GltfFile(GltfLayout):
     """A parsed file with its accessors. Every method raises :class:`FileFormatError` naming the file."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._read_values = self._zeros = 0
         self.compressed = Compressed(self)
 
     def _view(self, index, dtype: np.dtype, width: int, count: int, offset: int) -> np.ndarray:
@@ -41,14 +35,6 @@ class GltfFile(GltfContainer):
         if start + size > len(data):
             raise self.error(f"buffer view {index} ends at byte {start + size} of {len(data)}")
         return np.ndarray((count, width), dtype, data, start + offset, (stride, dtype.itemsize))
-
-    def layout(self, index) -> tuple[dict, np.dtype, int, int]:
-        """The accessor's entry, its component type, its width (3 for VEC3) and its number of elements."""
-        entry = self.item("accessors", index)
-        if entry.get("componentType") not in COMPONENTS or entry.get("type") not in _TYPES:
-            raise self.error(f"accessor {index} has an unknown component type or type")
-        count = self.whole(entry, "count", 1, MAX_VALUES)
-        return entry, np.dtype(COMPONENTS[entry["componentType"]]), _TYPES[entry["type"]], count
 
     def accessor(self, index, count: int | None = None) -> np.ndarray:
         """(count, width) float32 or integers of an accessor; normalised integers become floats.
@@ -69,23 +55,6 @@ class GltfFile(GltfContainer):
         if "sparse" in entry:
             self._fill_sparse(entry["sparse"], values)
         return self.floats(index, entry, values)
-
-    def floats(self, index, entry: dict, values: np.ndarray) -> np.ndarray:
-        """The values as the accessor's entry means them: finite, normalised integers as floats."""
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise self.error(f"accessor {index} holds NaN or infinite values")
-        if entry.get("normalized") and values.dtype.kind in "iu":
-            return np.maximum(values / np.float32(np.iinfo(values.dtype).max), np.float32(-1.0)).astype(np.float32)
-        return values
-
-    def spend(self, values: int, zeros: bool = False) -> None:
-        """Account for values about to be allocated; ``zeros``: the file holds no data for them. Raises when too many."""
-        self._read_values += values
-        self._zeros += values if zeros else 0
-        if self._read_values > MAX_VALUES:
-            raise self.error(f"its accessors hold more than {MAX_VALUES} values")
-        if self._zeros > FREE_ZEROS + ZEROS_PER_BYTE * self.size:
-            raise self.error(f"it declares {self._zeros} values without data, far more than its size explains")
 
     def _fill_sparse(self, sparse: dict, values: np.ndarray) -> None:
         count = self.whole(sparse, "count", 1, len(values))
