@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from pathlib import Path
 
 import numpy as np
 from scenes import exact_actor
@@ -96,3 +97,10 @@ def animated_meshes() -> dict[str, AnimatedMesh]:
     """The tracked actor and a character that it drives."""
     actor, result, _ = tracked_result()
     return {"actor": actor_animation(result, actor), "hag": character_animation(load_character("hag"), retarget(result))}
+
+
+def save_run(folder: Path, actor: Actor, result: Result) -> Path:
+    """Write actor.npz and result.npz as ``adaptiveface track`` does; the folder."""
+    actor.save(folder / "actor.npz")
+    result.save(folder / "result.npz")
+    return folder

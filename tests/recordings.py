@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from scenes import coefficients, exact_actor, head_pose, posed_shape, render_frame
 
+from adaptiveface.errors import FileFormatError
 from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.mesh import transform_points
 from adaptiveface.model.actor import Actor
@@ -70,3 +72,16 @@ def mutated(content: bytes, seed: int) -> bytes:
         case _:
             data[at:at] = rng.bytes(int(rng.integers(1, 100)))
     return bytes(data)
+
+
+def refusals(path: Path, load: Callable[[Path], object], count: int) -> int:
+    """How many of ``count`` damaged copies of a file are refused. Each refusal must name the file; no other error may come."""
+    content, refused = path.read_bytes(), 0
+    for seed in range(count):
+        path.write_bytes(mutated(content, seed))
+        try:
+            load(path)
+        except FileFormatError as error:
+            assert str(path) in str(error)
+            refused += 1
+    return refused

@@ -115,21 +115,12 @@ def _die_once(folder: Path, number: int) -> int:
 
 
 @pytest.mark.slow
-def test_a_cluster_does_the_call_of_a_lost_worker_again(tmp_path):
+@pytest.mark.parametrize("workers", [2, 1])
+def test_a_cluster_does_the_call_of_a_lost_worker_again_even_of_its_only_one(workers, tmp_path):
     pytest.importorskip("distributed")
-    client = dask_client(workers=2)
+    client = dask_client(workers=workers)
     try:
         assert dict(completed(_die_once, range(4), client, shared=(tmp_path,))) == {n: n for n in range(4)}
-    finally:
-        client.close()
-
-
-@pytest.mark.slow
-def test_what_was_lost_with_the_only_worker_is_sent_again(tmp_path):
-    pytest.importorskip("distributed")
-    client = dask_client(workers=1)
-    try:
-        assert dict(completed(_die_once, range(3), client, shared=(tmp_path,))) == {n: n for n in range(3)}
     finally:
         client.close()
 

@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from export_scene import tracked_result
+from export_scene import save_run, tracked_result
 
 from adaptiveface import cli
 from adaptiveface.errors import AdaptiveFaceError, FileFormatError
@@ -21,10 +21,8 @@ MODEL = embedded_face_model()
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """A folder with actor.npz, result.npz and ground_truth.npz, whose truth the result meets exactly; the result."""
-    folder = tmp_path_factory.mktemp("scene")
     actor, result, _ = tracked_result(frames=6)
-    actor.save(folder / "actor.npz")
-    result.save(folder / "result.npz")
+    folder = save_run(tmp_path_factory.mktemp("scene"), actor, result)
     performance, neutral = np.array([-1, 0, 0, 0, 1, 1], np.int8), actor.neutral.astype(np.float32)
     truth = dict(vertices=result.vertices, rigid=result.head_pose, neutral=neutral, performance=performance)
     np.savez(folder / "ground_truth.npz", **truth)

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from export_scene import tracked_result
+from export_scene import save_run, tracked_result
 from recordings import talking_head
 
 from adaptiveface.cli import _parser, main
@@ -29,10 +29,7 @@ def commands(text: str) -> list[list[str]]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """What the pages name: result.npz and actor.npz, the recording ``take``, the curves take.csv."""
-    folder = tmp_path_factory.mktemp("howto")
-    actor, result, _ = tracked_result(frames=3)
-    result.save(folder / "result.npz")
-    actor.save(folder / "actor.npz")
+    folder = save_run(tmp_path_factory.mktemp("howto"), *tracked_result(frames=3)[:2])
     talking_head(folder / "take", 2)
     words = ["export", "result.npz", "--format", "arkit-csv", "--out", "take.csv"]
     with pytest.MonkeyPatch.context() as patch:

@@ -14,7 +14,7 @@ import threading
 
 import numpy as np
 import pytest
-from export_scene import FRAMES, received, tracked_result
+from export_scene import FRAMES, received, save_run, tracked_result
 from scipy.spatial.transform import Rotation
 from web import validation
 from written import read_glb_animation, read_obj_sequence
@@ -340,10 +340,7 @@ def test_video_without_frames(tmp_path):
 
 @pytest.fixture(scope="module")
 def saved(scene, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("run")
-    scene[0].save(folder / "actor.npz")
-    scene[1].save(folder / "result.npz")
-    return folder
+    return save_run(tmp_path_factory.mktemp("run"), *scene[:2])
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from adaptiveface.studies import EMOTIONS, FIGURES, PARAMETER_SETS, PaperFigure,
 from adaptiveface.studies import figure as figure_module
 from adaptiveface.studies.construction import from_truth
 from adaptiveface.studies.convergence import falls
-from adaptiveface.studies.drawing import add_scale, grid, scan_picture
+from adaptiveface.studies.drawing import grid, scan_picture
 from adaptiveface.studies.out_of_space import Roughness
 
 
@@ -120,8 +120,7 @@ def test_a_scan_is_drawn_from_the_front_nearest_points_last():
 
 def test_the_grid_has_a_cell_for_each_picture_and_takes_gaps():
     picture = np.zeros((4, 3, 3), np.uint8)
-    figure = grid([[picture, None], [picture, picture]], [["a", "lost"], ["c", "d"]], ["one", "two"])
-    add_scale(figure, 2.0, "mm")
+    figure = grid([[picture, None], [picture, picture]], [["a", "lost"], ["c", "d"]], ["one", "two"], 2.0, "mm")
     assert len(figure.axes) == 5
     assert [axis.get_title() for axis in figure.axes[:4]] == ["a", "lost", "c", "d"]
     assert [len(axis.images) for axis in figure.axes[:4]] == [1, 0, 1, 1]

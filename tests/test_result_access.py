@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blender_runs import blender_python, needs_blender
-from export_scene import tracked_result
+from export_scene import save_run, tracked_result
 
 from adaptiveface.errors import MissingExtraError
 from adaptiveface.result import Result
@@ -33,10 +33,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def folder(scene, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("recipes")
-    scene[0].save(folder / "actor.npz")
-    scene[1].save(folder / "result.npz")
-    return folder
+    return save_run(tmp_path_factory.mktemp("recipes"), *scene[:2])
 
 
 def test_a_result_says_itself_in_one_line(scene, folder):

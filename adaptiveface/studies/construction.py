@@ -11,7 +11,7 @@ from ..model.actor import Actor
 from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.capture import NeutralCapture, capture_neutral
 from ..synthetic.sensor import SyntheticSensor
-from .drawing import SIZE, Faces, add_scale, grid, scan_picture
+from .drawing import SIZE, Faces, grid, scan_picture
 from .performances import NEUTRAL_FRAMES
 
 TOP = 1.5
@@ -36,8 +36,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
         chosen = [shapes[list(actor.expression_names).index(name)] for name in SHOWN]
         pictures.append([faces.plain(head + shape) for shape in chosen])
         titles.append(list(SHOWN))
-    figure = grid(pictures, titles, ["neutral face", "generic", "personal"])
-    add_scale(figure, TOP, "distance to the true face, mm")
+    figure = grid(pictures, titles, ["neutral face", "generic", "personal"], TOP, "distance to the true face, mm")
     caption = (
         f"{sensor.name}. Top: depth frames of the neutral face become a scan; the average head is fitted to it by the modes of "
         "identity, and shrink-wrapped onto it. Colour and number: distance of the face from the true one (the number is the "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from .drawing import Faces, add_scale, grid
+from .drawing import Faces, grid
 from .performances import PARAMETER_SETS, Take, track
 
 TOP = 1.0
@@ -46,8 +46,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
                     picture, words = faces.heat(mesh, rest), f"{updates} updates, {np.nanmean(rest):.2f} mm"
                 pictures[-1].append(picture)
                 titles[-1].append(f"expression {number},\n{times[time]}:\n{words}")
-    figure = grid(pictures, titles, list(PARAMETER_SETS))
-    add_scale(figure, TOP, "distance of v2 from the adaptive space, mm")
+    figure = grid(pictures, titles, list(PARAMETER_SETS), TOP, "distance of v2 from the adaptive space, mm")
     caption = (
         f"{sensor.name}, {TIMES} times the same {sensor.frames} frames. Colour: what the adaptive space cannot express of v2, "
         "before the frame is learned from. The paper colours the distance of the output v4, which here is the 2D features' "

@@ -32,27 +32,48 @@ class Faces:
         return on_backdrop(self._portraits.draw(head, values, (0.0, self.top)), BACKDROP)
 
 
-def grid(pictures: Sequence[Sequence[np.ndarray | None]], titles: Sequence[Sequence[str]], labels: Sequence[str]) -> Figure:
-    """Make a figure with one picture per cell, titles above the pictures, and ``labels`` before the rows."""
+def grid(
+    pictures: Sequence[Sequence[np.ndarray | None]],
+    titles: Sequence[Sequence[str]],
+    labels: Sequence[str],
+    top: float | None = None,
+    words: str = "",
+) -> Figure:
+    """Make a figure with one picture per cell.
+
+    Parameters
+    ----------
+    pictures : sequence of sequences of (h, w, 3) arrays or None
+        The cells of every row.
+    titles : sequence of sequences of str
+        Text above every picture.
+    labels : sequence of str
+        Text before every row.
+    top : float, optional
+        End of a colour scale from 0 beside the grid, mm. Without it, there is no scale.
+    words : str
+        Meaning of the scale.
+    """
     rows, columns = len(pictures), max(map(len, pictures))
     high, wide = next(picture for line in pictures for picture in line if picture is not None).shape[:2]
-    lines = 1 + max((title.count("\n") for words in titles for title in words), default=0)
+    lines = 1 + max((title.count("\n") for above in titles for title in above), default=0)
     size = 1.75 * columns + 0.6, (1.65 * high / wide + 0.15 * lines + 0.15) * rows + 0.2
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
-    for line, words, label, row in zip(pictures, titles, labels, axes, strict=True):
+    for line, above, label, row in zip(pictures, titles, labels, axes, strict=True):
         for axis in row:
             axis.set(xticks=[], yticks=[], frame_on=False)
-        for axis, picture, title in zip(row, line, words, strict=False):
+        for axis, picture, title in zip(row, line, above, strict=False):
             if picture is not None:
                 axis.imshow(picture)
             axis.set_title(title, fontsize=8)
         row[0].set_ylabel(label, fontsize=10)
+    if top is not None:
+        _add_scale(figure, top, words)
     return figure
 
 
-def add_scale(figure: Figure, top: float, words: str) -> None:
-    """Add the colour scale of the heat maps, 0 to ``top`` mm, beside the grid."""
+def _add_scale(figure: Figure, top: float, words: str) -> None:
     scale = ScalarMappable(Normalize(0.0, top), "viridis")
     bar = figure.colorbar(scale, ax=figure.axes, shrink=0.7, fraction=0.03, pad=0.01)
     bar.set_label(words, fontsize=9)

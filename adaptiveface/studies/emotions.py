@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from ..evaluation.run import ErrorCollector
 from ..evaluation.truth import REPEAT, GroundTruth
 from ..geometry.mesh import transform_points
-from .drawing import Faces, add_scale, grid
+from .drawing import Faces, grid
 from .performances import EMOTIONS, emotional, track
 
 TOP = 3.0
@@ -63,8 +63,13 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
             mesh, distance = found.get((method, emotion), (take.actor.neutral, np.full(len(take.actor.neutral), np.nan)))
             pictures[-1].append(faces.heat(mesh, distance))
             titles[-1].append(f"p95 {figures['surface_p95']:.2f} mm\nactive {figures['active_share']:.2f}")
-    figure = grid(pictures, titles, ["true face", STAND_IN.replace(" (", "\n("), *list(METHODS)[1:]])
-    add_scale(figure, TOP, "distance to the true surface, mm")
+    figure = grid(
+        pictures,
+        titles,
+        ["true face", STAND_IN.replace(" (", "\n("), *list(METHODS)[1:]],
+        TOP,
+        "distance to the true surface, mm",
+    )
     caption = (
         f"{take.sensor.name}. The second row is not an implementation of Weise et al. 2011. It is a substitute that also "
         "stays in the span of its blendshapes: the fit alone, with generic expressions and a penalty on change. It has neither "

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from ..evaluation.ablation import VARIANTS, run_ablations
 from ..evaluation.truth import FIRST, REPEAT
 from ..geometry.mesh import transform_points
-from .drawing import Faces, add_scale, grid
+from .drawing import Faces, grid
 from .performances import PARAMETER_SETS, Take
 
 TOP = 3.0
@@ -45,8 +45,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
             for performance, label in ((FIRST, "first"), (REPEAT, "repeat")):
                 figures = evaluation.summary(variant.stage, performance)
                 rows.append({"parameters": name, "variant": variant.name, "performance": label, **figures})
-    figure = grid(pictures, titles, list(PARAMETER_SETS))
-    add_scale(figure, TOP, "distance to the true surface, mm")
+    figure = grid(pictures, titles, list(PARAMETER_SETS), TOP, "distance to the true surface, mm")
     caption = (
         f"{sensor.name}. Colour: distance of the result to the true surface in one frame; "
         "the numbers are its median in that frame and the "

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..geometry.mesh import adjacency
-from .drawing import Faces, add_scale, grid
+from .drawing import Faces, grid
 from .performances import PARAMETER_SETS, Take, track
 
 TOP = 1.5
@@ -54,8 +54,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
             mean, rough = (np.mean([row[f"{label}_{what}_mm"] for row in own]) for what in ("mean", "roughness"))
             pictures[-1] += [faces.plain(mesh), faces.heat(mesh, values)]
             titles[-1] += [words, f"its distance from v3\nmean {mean:.2f}, roughness {rough:.3f}"]
-    figure = grid(pictures, titles, list(PARAMETER_SETS))
-    add_scale(figure, TOP, "distance from v3, mm")
+    figure = grid(pictures, titles, list(PARAMETER_SETS), TOP, "distance from v3, mm")
     caption = (
         f"{take.sensor.name}, frame {shown}. v4 deforms v3 to the 2D features only, and v2 follows the depth map as well. "
         "Colour: the distance of each from v3. The numbers are the mean over the performance, and the roughness: by how much a "

@@ -13,7 +13,7 @@ from ..retargeting.arkit import arkit_weights
 from ..retargeting.loading import load_character
 from ..retargeting.portrait import portrait
 from ..synthetic.sensor import SyntheticSensor
-from .drawing import BACKDROP, SIZE, Faces, add_scale, grid
+from .drawing import BACKDROP, SIZE, Faces, grid
 from .performances import NEUTRAL_FRAMES, Take, track
 
 TOP = 3.0
@@ -43,8 +43,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
                 labels.append(f"performer {person}")
     if not pictures:
         raise TrackingError(f"performers {seed} to {person}: every chosen frame was lost; another seed, or more frames")
-    figure = grid(pictures, titles, labels)
-    add_scale(figure, TOP, "distance to the true surface, mm")
+    figure = grid(pictures, titles, labels, TOP, "distance to the true surface, mm")
     means = "; ".join(f"{stage} {_mean(rows, stage):.2f}" for stage in ("v1", "v4"))
     caption = (
         f"{len(labels)} performers, {noise} noise, one frame of the second time each. The blendshape fit v1 stands for "

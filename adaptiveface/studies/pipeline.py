@@ -10,7 +10,7 @@ from ..errors import TrackingError
 from ..geometry.frame import RgbdFrame
 from ..report.pictures import depth_picture, face_view, frontal_triangles, shaded_overlay
 from ..synthetic.sensor import SyntheticSensor
-from .drawing import SIZE, Faces, add_scale, grid
+from .drawing import SIZE, Faces, grid
 from .performances import NEUTRAL_FRAMES, Take, track
 
 TOP = 2.0
@@ -58,8 +58,7 @@ def draw(seed: int, noise: str, frames: int | None) -> tuple[str, Figure, list[d
             ["", "", "", *(_WORDS[step] for step in STEPS)],
         ]
     labels = [label for name in found for label in (name, "")]
-    figure = grid(pictures, titles, labels)
-    add_scale(figure, TOP, "what a step adds, mm")
+    figure = grid(pictures, titles, labels, TOP, "what a step adds, mm")
     caption = (
         f"{take.sensor.name}, frame {shown}. Above: input, the neutral face where the rigid motion puts it, and the mesh after "
         "each stage. Below: how far one mesh lies from another, which is what the paper colours: what the adaptive space adds "
