@@ -201,7 +201,7 @@ def test_the_status_line_is_rewritten_in_a_terminal_and_rare_in_a_log(monkeypatc
             return True
 
     clock = iter(range(100))
-    monkeypatch.setattr(status.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(status, "time", SimpleNamespace(monotonic=lambda: next(clock)))  # threads of other tests keep theirs
     terminal, log = Terminal(), StringIO()
     for stream in (terminal, log):
         line = status.StatusLine(stream)

@@ -36,6 +36,7 @@ from adaptiveface.pipeline import capture_from, track_source
 from adaptiveface.report.sections import heading
 from adaptiveface.result import COLOUR_ONLY, Result
 from adaptiveface.sensors import list_sensors, open_sensor, open_source
+from adaptiveface.sensors.file_player import FilePlayer
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.sensors.record import record_sensor
 from adaptiveface.sensors.recording import Recording
@@ -178,6 +179,13 @@ def test_a_video_plays_as_a_sensor_to_its_end_and_is_not_recorded(clip, frames, 
         with pytest.raises(EndOfRecording):
             sensor.read(timeout=60)
     assert not (tmp_path / "recording").exists()
+
+
+def test_a_driver_that_is_not_open_says_so(clip):
+    for driver in (WebcamDriver(), FilePlayer(clip)):
+        with pytest.raises(SensorError, match="is not open"):
+            driver.grab(0.1)
+        driver.close()
 
 
 def test_frames_in_any_order(frames, tmp_path):

@@ -25,7 +25,7 @@ from ..sensors.worker import POLL_SECONDS
 from .guided import STEPS
 from .recorder import LiveRecorder
 from .run import BUILDING, SCANNING, STARTING, LiveRun
-from .session import LiveSession
+from .session import LiveResult, LiveSession
 from .status import StatusLine
 
 NOTEBOOK = "live_sensor.ipynb"
@@ -87,12 +87,11 @@ def _open_notebook(args: argparse.Namespace) -> int:
 class _Headless:
     """A run in the terminal: scan the neutral if no rig is given, track until the end, and save everything."""
 
-    def __init__(self, args: argparse.Namespace, parameters: Parameters) -> None:
-        self.args, self.parameters, self.line = args, parameters, StatusLine()
+    def __init__(self, args: argparse.Namespace, parameters: Parameters, smooth: bool = False) -> None:
+        self.args, self.parameters, self.smooth, self.line = args, parameters, smooth, StatusLine()
         self._check_outputs()
         self._given = Actor.load(args.actor) if args.actor else None
-        self._builder: ResultBuilder | None = None
-        self._gaze: GazeTrack | None = None
+        self._kept: tuple[ResultBuilder, GazeTrack] | None = None
         self._spoken: str | None = None  # the last of the scan's instructions
         self._building = False
         self._recorder: LiveRecorder | None = None
@@ -121,6 +120,8 @@ class _Headless:
             while not run.wait(POLL_SECONDS):
                 ctrl_c.check()
                 self._watch_recording()
+            if run.session is None:
+                raise TrackingError(f"{sensor.name}: the run was closed before it tracked anything")
             self._track(run.session, ctrl_c)
         return 0
 
@@ -162,14 +163,16 @@ class _Headless:
         if guidance is not None and guidance.text != self._spoken:
             self._spoken = guidance.text
             self.line.end(f"  {self._spoken}")
-        if guidance is not None or run.message:
-            self.line.show(run.message or f"{guidance.progress:4.0%} " + "; ".join(guidance.warnings))
+        if run.message:
+            self.line.show(run.message)
+        elif guidance is not None:
+            self.line.show(f"{guidance.progress:4.0%} " + "; ".join(guidance.warnings))
 
     def _show_building(self, run: LiveRun) -> None:
         if not self._building:
             self._building = True
             self.line.end()
-            for warning in run.guidance.warnings:
+            for warning in run.guidance.warnings if run.guidance else ():
                 print(f"  note: {warning}")
         step, share = run.progress
         if step:
@@ -179,20 +182,20 @@ class _Headless:
         """Save the head, which has just been built, and prepare for the first result."""
         self.line.end()
         if self.args.save_actor is not None:
-            run.actor.save(self.args.save_actor)
-            print(f"{self.args.save_actor}: {len(run.actor.neutral)} vertices")
+            run.head.save(self.args.save_actor)
+            print(f"{self.args.save_actor}: {len(run.head.neutral)} vertices")
         if self.args.out is not None:
             builder = ResultBuilder(
-                run.actor, self.parameters, FIRST_RESULTS, colour_only=run.colour_only, folder=unfinished_folder(self.args.out)
+                run.head, self.parameters, FIRST_RESULTS, colour_only=run.colour_only, folder=unfinished_folder(self.args.out)
             )
-            gaze = GazeTrack(run.actor)
+            gaze = GazeTrack(run.head)
 
-            def keep(live) -> None:
+            def keep(live: LiveResult) -> None:
                 builder.add(live.tracked)
                 gaze.see(live.tracked, live.frame)
 
             run.on_result(keep)
-            self._builder, self._gaze = builder, gaze
+            self._kept = builder, gaze
         self._stream(run)
 
     # ---- tracking --------------------------------------------------------------------------------------------------
@@ -216,11 +219,11 @@ class _Headless:
             session.personal_actor().save(self.args.personal_actor)
 
     def _save(self, session: LiveSession) -> None:
-        if self._builder is None:
+        if self._kept is None:
             return
-        summary = ""
-        if self._builder.done:
-            result = self._gaze.onto(self._builder.finish(session.model.correctives, session.expressions))
+        summary, (builder, gaze) = "", self._kept
+        if builder.done:
+            result = gaze.onto(builder.finish(session.model.correctives, session.expressions))
             result.save(self.args.out)
             summary = result.summary()
             del result  # it holds the files that are discarded
@@ -250,15 +253,15 @@ class _Headless:
         from ..retargeting.arkit_resolve import has_units
         from ..retargeting.smoothing import OneEuro
 
-        smoothing = OneEuro() if getattr(self.args, "smooth", False) else None
+        smoothing = OneEuro() if self.smooth else None
         fit = self.parameters.blendshapes
         streamer = Streamer(
-            run.actor,
+            run.head,
             fit.A,
             smoothing=smoothing,
             avatar=self._avatar,
             parameters=fit,
-            halves=has_units(run.actor),
+            halves=has_units(run.head),
             **self._destinations,
         )
         print("\n".join(said(self._destinations)))
@@ -274,4 +277,4 @@ def run_live_stream(args: argparse.Namespace, parameters: Parameters) -> int:
     )
     if args.vmc is None and args.osc is None and args.livelink is None:
         values["vmc"] = str(VMC_PORT)
-    return _Headless(argparse.Namespace(**values), parameters).run()
+    return _Headless(argparse.Namespace(**values), parameters, args.smooth).run()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import TrackingError
-from ..geometry.frame import RgbdFrame
+from ..geometry.frame import Features2D, RgbdFrame
 from ..geometry.mesh import surface_points, transform_points, vertex_normals
 from ..model.actor import Actor
 from ..model.face_model import FaceModel, embedded_face_model
@@ -78,6 +78,15 @@ class _Kept:
     cost: float
     clean: bool
     cell: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class _Face:
+    """A face that can be used: its pose (4, 4), head to camera, its expression, and its blur from 0 to 1."""
+
+    pose: np.ndarray
+    expression: Expression
+    blur: float
 
 
 class GuidedCapture:
@@ -171,13 +180,13 @@ class GuidedCapture:
         return capture_actor(self.frames, self.model, parameters or Parameters(), progress)
 
     # ---- judging ---------------------------------------------------------------------------------------------------
-    def _judge(self, frame: RgbdFrame) -> tuple[tuple[str, ...], tuple[Expression, float] | None]:
-        """Warnings about a frame, and (expression, blur from 0 to 1) if its face can be used."""
+    def _judge(self, frame: RgbdFrame) -> tuple[tuple[str, ...], _Face | None]:
+        """Warnings about a frame, and its face if that can be used."""
         self.pose = None
         if not frame.depth.any():
             return ("no depth: the sensor measures nothing",), None
-        pose = pose_from_features(frame, self._points)
-        if pose is None:
+        pose, features = pose_from_features(frame, self._points), frame.features
+        if pose is None or features is None:
             return ("no face: look at the camera, well lit",), None
         self.pose, distance = pose, float(np.linalg.norm(pose[:3, 3]))
         neutral = frame.camera.project(transform_points(pose, self._points))
@@ -188,13 +197,13 @@ class GuidedCapture:
             warnings.append(f"too near ({distance / 10:.0f} cm): move back")
         elif distance > FAR or (unit < MIN_EYE_PIXELS and not turned):
             warnings.append(f"too far ({distance / 10:.0f} cm): come closer")
-        face = Expression(0, 0, 0, 0) if turned else expression(frame.features, neutral)
+        face = Expression(0, 0, 0, 0) if turned else expression(features, neutral)
         blur = self._blur(frame)
         warnings += [face.warning] if face.warning else []
-        if blur >= 1 or self._speed(frame, unit) > FAST:
+        if blur >= 1 or self._speed(features, frame.timestamp, unit) > FAST:
             warnings.append("blurred: move more slowly")
             blur = max(blur, 1.0)
-        return tuple(warnings), (face, blur)
+        return tuple(warnings), _Face(pose, face, blur)
 
     def _blur(self, frame: RgbdFrame) -> float:
         """Blur from 0, as sharp as usual, to 1, the limit; 0 without colour."""
@@ -204,16 +213,16 @@ class GuidedCapture:
         self._sharp.append(sharp)
         return float(np.clip((1 - sharp / max(np.median(self._sharp), 1e-9)) / (1 - BLURRED), 0.0, 2.0))
 
-    def _speed(self, frame: RgbdFrame, unit: float) -> float:
+    def _speed(self, features: Features2D, timestamp: float, unit: float) -> float:
         """Median movement of the features since the last frame, in eye distances a second; 0 after a gap."""
-        now = np.where(frame.features.valid[:, None], frame.features.pixels, np.nan)
+        now = np.where(features.valid[:, None], features.pixels, np.nan)
         last = self._last
-        self._last = (frame.timestamp, now)
-        if last is None or not 1e-3 < frame.timestamp - last[0] < 0.2:
+        self._last = (timestamp, now)
+        if last is None or not 1e-3 < timestamp - last[0] < 0.2:
             return 0.0
         moved = np.linalg.norm(now - last[1], axis=1)
         moved = moved[np.isfinite(moved)]
-        return float(np.median(moved) / unit / (frame.timestamp - last[0])) if len(moved) else 0.0
+        return float(np.median(moved) / unit / (timestamp - last[0])) if len(moved) else 0.0
 
     def _advance(self, frame: RgbdFrame) -> float:
         """Seconds since the previous frame, at most half a second because device clocks jump."""
@@ -221,16 +230,16 @@ class GuidedCapture:
         return 0.0 if last is None else float(np.clip(frame.timestamp - last, 0.0, 0.5))
 
     # ---- keeping ---------------------------------------------------------------------------------------------------
-    def _keep(self, frame: RgbdFrame, face: tuple[Expression, float], clean: bool) -> None:
-        yaw, pitch = head_angles(self.pose)
+    def _keep(self, frame: RgbdFrame, face: _Face, clean: bool) -> None:
+        yaw, pitch = head_angles(face.pose)
         if clean and len(self._level) < STRAIGHT_FRAMES and abs(yaw) < 15 and abs(pitch) < 30:
             self._level.append(pitch)
         level = float(np.median(self._level)) if self._level else pitch
         cell = (round(yaw / 6), round((pitch - level) / 5))
-        self._kept.append(_Kept(frame, face[0].worst + face[1], clean, cell))
+        self._kept.append(_Kept(frame, face.expression.worst + face.blur, clean, cell))
         if len(self._kept) > self.most:
             self._drop_one()
-        self._count_views(frame)
+        self._count_views(frame, face.pose)
         if clean:
             self._record(yaw, pitch - level)
 
@@ -239,9 +248,9 @@ class GuidedCapture:
             best = self._farthest[name]  # the third largest counts, so that single outliers do not matter
             self._farthest[name] = sorted([*best, angle])[-3:]
 
-    def _count_views(self, frame: RgbdFrame) -> None:
-        points = transform_points(self.pose, self._vertices)
-        normals = self._normals @ self.pose[:3, :3].T
+    def _count_views(self, frame: RgbdFrame, pose: np.ndarray) -> None:
+        points = transform_points(pose, self._vertices)
+        normals = self._normals @ pose[:3, :3].T
         self._seen += seen_by_depth(frame.depth, frame.camera, points, normals, REACH)
 
     def _drop_one(self) -> None:

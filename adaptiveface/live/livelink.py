@@ -6,6 +6,7 @@ import argparse
 import time
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -21,7 +22,14 @@ from ..runtime.interrupt import CtrlC
 from .status import StatusLine
 
 #: Options of ``live`` that need pictures, with the value when nobody asked for them.
-_OF_SENSORS = {"actor": None, "save_actor": None, "personal_actor": None, "record": None, "set": [], "mirrored": False}
+_OF_SENSORS: dict[str, object] = {
+    "actor": None,
+    "save_actor": None,
+    "personal_actor": None,
+    "record": None,
+    "set": [],
+    "mirrored": False,
+}
 _SHOWN = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft")
 
 
@@ -68,9 +76,11 @@ class _Run:
 
     def __init__(self, receiver: LiveLinkReceiver, sender, seconds: int | None) -> None:
         self._receiver, self._sender, self._seconds = receiver, sender, seconds
-        self.count, self.lost, self.error = 0, 0, None
+        self.count, self.lost = 0, 0
+        self.error: AdaptiveFaceError | None = None
         self._line = StatusLine()
         self._began: float | None = None
+        self._last: LiveLinkFrame | None = None
 
     @property
     def summary(self) -> str:
@@ -95,7 +105,7 @@ class _Run:
                 self.error = error
         self._line.end()
 
-    def _take(self, frame: LiveLinkFrame, stream) -> None:
+    def _take(self, frame: LiveLinkFrame, stream: TextIO | None) -> None:
         self._began = time.monotonic() if self._began is None else self._began
         self.count += 1
         self.lost += not frame.tracked
@@ -106,13 +116,14 @@ class _Run:
             self._sender.send(face_state(frame))
 
     def _show(self) -> None:
-        if not self.count:
+        last = self._last
+        if last is None or self._began is None:
             bad = f" ({self._receiver.bad} datagrams that are none: {self._receiver.reason})" if self._receiver.bad else ""
             self._line.show(f"waiting for Live Link Face{bad}")
             return
         rate = self.count / max(time.monotonic() - self._began, 1e-3)
-        levels = ", ".join(f"{name} {self._last.curves[ARKIT_NAMES.index(name)]:.2f}" for name in _SHOWN)
-        face = levels if self._last.tracked else "no face"
+        levels = ", ".join(f"{name} {last.curves[ARKIT_NAMES.index(name)]:.2f}" for name in _SHOWN)
+        face = levels if last.tracked else "no face"
         self._line.show(f"{self._receiver.subject}: {self.count} frames, {rate:.0f} a second, {face}")
 
 

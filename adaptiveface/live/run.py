@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from os import PathLike
 
 from ..errors import AdaptiveFaceError, TrackingError
@@ -63,8 +64,8 @@ class LiveRun(Closing):
         detect: bool = False,
         watch: Callable[[LiveRun], None] | None = None,
     ) -> None:
-        self._given, self._owned, self._detect = sensor, isinstance(sensor, str), detect
-        self.name = sensor if self._owned else sensor.name
+        self._given, self._detect = sensor, detect
+        self.name = sensor if isinstance(sensor, str) else sensor.name
         self.actor = Actor.load(actor) if isinstance(actor, (str, PathLike)) else actor
         self._parameters, self.seconds = parameters or Parameters(), seconds
         self.sensor: LiveSensor | None = None
@@ -80,6 +81,13 @@ class LiveRun(Closing):
         self._start(self._open)
 
     # ---- for views, on any thread ----------------------------------------------------------------------------------
+    @property
+    def head(self) -> Actor:
+        """The head that is tracked. Raises :class:`TrackingError` while there is none."""
+        if self.actor is None:
+            raise TrackingError(f"{self.name}: there is no head yet; it is built after the neutral scan")
+        return self.actor
+
     @property
     def colour_only(self) -> bool:
         """Whether the sensor measures no depth.
@@ -150,7 +158,7 @@ class LiveRun(Closing):
         self._trouble, self._scan = "", None
         self._stop_session()
         self.state = SCANNING
-        self._start(self._scan_and_track)
+        self._start(partial(self._scan_and_track, session.feed))
 
     def on_result(self, callback: Callable[[LiveResult], None]) -> Callable[[], None]:
         """Call a function with every result. The calls go on after :meth:`relearn`.
@@ -249,32 +257,32 @@ class LiveRun(Closing):
             self._watch(self)
 
     def _open(self) -> None:
-        sensor = open_sensor(self._given) if self._owned else self._given
+        sensor = open_sensor(self._given) if isinstance(self._given, str) else self._given
         with self._lock:
             self.sensor, self.name = sensor, sensor.name
             if self._closed:
                 raise Cancelled
-            self.feed = FeatureFeed(sensor, always=self._detect)
+            self.feed = feed = FeatureFeed(sensor, always=self._detect)
         if self.actor is None:
-            self._scan_and_track()
+            self._scan_and_track(feed)
         else:
-            self._track()
+            self._track(feed, self.actor)
 
-    def _scan_and_track(self) -> None:
+    def _scan_and_track(self, feed: FeatureFeed) -> None:
         with self._lock:
-            self._scan = NeutralScan(self.feed, self.seconds, self._tell)
+            self._scan = scan = NeutralScan(feed, self.seconds, self._tell)
         self._enter(SCANNING)
-        self._scan.collect()
+        scan.collect()
         self._enter(BUILDING)
-        self.actor = self._scan.build(self._parameters)
-        self._track()
+        self.actor = actor = scan.build(self._parameters)
+        self._track(feed, actor)
 
-    def _track(self) -> None:
+    def _track(self, feed: FeatureFeed, actor: Actor) -> None:
         self._enter(STARTING)
         with self._lock:
             if self._closed:
                 raise Cancelled
-            self.session = LiveSession(self.feed, self.actor, self._parameters, tuple(self._callbacks))
+            self.session = LiveSession(feed, actor, self._parameters, tuple(self._callbacks))
             self.state = TRACKING
         self._tell()
 
@@ -292,7 +300,7 @@ class LiveRun(Closing):
         self._stop_session()
         if self.feed is not None:
             self.feed.close()
-        if self._owned and self.sensor is not None:
+        if isinstance(self._given, str) and self.sensor is not None:
             self.sensor.close()
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ from ..errors import (
     SensorError,
     SensorNotFoundError,
 )
-from .driver import Driver, RawFrame
+from .driver import CameraOrFile, Driver, RawFrame
 from .file_player import FilePlayer
 from .registration import Lens, Registration
 
@@ -55,18 +56,19 @@ def connected_cameras() -> list[tuple[str, str]]:
     return [(str(index), "Azure Kinect") for index in range(pyk4a_module().connected_device_count())]
 
 
-class AzureDriver(Driver):
+class AzureDriver(CameraOrFile):
     """A camera by its ``index``, or the recording at ``path``, which plays as fast as it is read."""
 
     has_features, fps, depth_scale = False, 30.0, 1000.0
     description = "Azure Kinect"
 
     def __init__(self, index: int = 0, path: Path | None = None) -> None:
+        super().__init__(f"Azure Kinect {index}", path)
         self._k4a = pyk4a_module()
-        self.index, self.path = index, path
-        self.live = path is None
-        self.name = path.stem if path else f"Azure Kinect {index}"
-        self._device, self._start_time, self._sequence = None, None, -1
+        self.index = index
+        self._device: Any | None = None
+        self._start_time: float | None = None
+        self._sequence = -1
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
@@ -126,9 +128,10 @@ class AzureDriver(Driver):
         if int(depth_mode) not in _DEPTHS:
             raise FileFormatError(f"{self.name}: depth mode {depth_mode!r} has no depth")
 
-        def lens(kind, size) -> Lens:
+        def lens(kind, size: tuple[int, int]) -> Lens:
             """Calibration of one of the two cameras, for pictures of ``size`` (width, height) pixels."""
-            return Lens(*size, calibration.get_camera_matrix(kind), calibration.get_distortion_coefficients(kind))
+            width, height = size
+            return Lens(width, height, calibration.get_camera_matrix(kind), calibration.get_distortion_coefficients(kind))
 
         depth = lens(kinds.DEPTH, _DEPTHS[int(depth_mode)])
         colour = lens(kinds.COLOR, _PICTURES[int(resolution)]) if int(resolution) else None
@@ -140,12 +143,9 @@ class AzureDriver(Driver):
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; None where there is no depth."""
-        k4a = self._k4a
+        k4a, device = self._k4a, self._opened(self._device)
         try:
-            if self.live:
-                capture = self._device.get_capture(max(int(timeout * 1000), 1))
-            else:
-                capture = self._device.get_next_capture()
+            capture = device.get_capture(max(int(timeout * 1000), 1)) if self.live else device.get_next_capture()
         except k4a.K4ATimeoutException:
             return None
         except EOFError:

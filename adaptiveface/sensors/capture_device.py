@@ -18,7 +18,7 @@ from .intrinsics import read_camera
 
 __all__ = ["FIELD_OF_VIEW", "FIELD_OF_VIEW_RANGE", "as_rgb", "calibration_for", "camera_of_view", "quiet"]
 
-_level_lock, _quiet = threading.Lock(), 0
+_level_lock, _quiet, _level = threading.Lock(), 0, 0
 
 
 @contextmanager

@@ -7,11 +7,16 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
+from ..errors import SensorError
 from ..geometry.camera import Camera
 from ..geometry.frame import Features2D, RgbdFrame
+
+Handle = TypeVar("Handle")
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,54 @@ class Driver(ABC):
     @abstractmethod
     def close(self) -> None:
         """Stop and release everything. It is also called after :meth:`open` has failed."""
+
+    def _opened(self, handle: Handle | None) -> Handle:
+        """Return a handle that :meth:`open` sets, for use while the driver is open.
+
+        Parameters
+        ----------
+        handle : object or None
+            The handle, or None if the driver is not open.
+
+        Returns
+        -------
+        object
+            The handle.
+
+        Raises
+        ------
+        SensorError
+            The driver is not open.
+        """
+        if handle is None:
+            raise self._not_open()
+        return handle
+
+    def _not_open(self) -> SensorError:
+        return SensorError(f"{self.name}: is not open; call open() before grab()")
+
+
+class CameraOrFile(Driver):
+    """A driver of cameras that also plays their recordings.
+
+    Parameters
+    ----------
+    name : str
+        The name of the camera.
+    path : Path or None
+        A recording to play instead of a camera, as fast as it is read.
+
+    Attributes
+    ----------
+    camera : Camera
+        The calibration, once the driver is open.
+    """
+
+    camera: Camera
+
+    def __init__(self, name: str, path: Path | None) -> None:
+        self.path, self.live = path, path is None
+        self.name = name.strip() if path is None else path.stem
 
 
 def usable(raw: RawFrame) -> bool:

@@ -16,19 +16,18 @@ import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 import numpy as np
 
 from .. import errors
 from ..errors import AdaptiveFaceError, SensorError
 from ..geometry.camera import Camera
-from .driver import Driver, RawFrame
+from .driver import CameraOrFile, Driver, RawFrame
 from .matroska import is_plain_video
 from .worker import POLL_SECONDS
 
-#: Suffix -> module and class of the driver that takes such a file as its ``path`` and knows its ``camera`` once it is open, and
-#: the library that reads it.
+#: Suffix -> module and class of the driver (a :class:`CameraOrFile`) that plays such a file, and the library that reads it.
 PLAYERS = {
     ".oni": ("openni2", "OpenNI2Driver", "OpenNI2"),
     ".db3": ("realsense", "RealSenseDriver", "RealSense"),
@@ -46,6 +45,10 @@ _MESSAGES = {
     "none": set(),
     "error": {"error", "text"},
 }
+#: Only this process handles Ctrl-C: the child gets a group of its own, on Windows by this flag.
+_NEW_GROUP = 0
+if sys.platform == "win32":
+    _NEW_GROUP = subprocess.CREATE_NEW_PROCESS_GROUP
 _ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind, type)}
 
 
@@ -64,19 +67,19 @@ class FilePlayer(Driver):
         self.path, self.name = Path(path), Path(path).stem
         self.fps, self.depth_scale = 30.0, 1000.0  # until it is open
         self._command = [sys.executable, "-m", __name__, str(self.path.absolute())]
-        self._child: subprocess.Popen | None = None
+        self._child: subprocess.Popen[bytes] | None = None
         self._frames = 0
 
     def open(self) -> None:
         """Start the child and wait until it has opened the file. The driver's errors are raised in this process."""
-        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
         self._child = subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env=_environment(),
-            **apart,  # only this process handles Ctrl-C
+            creationflags=_NEW_GROUP,
+            start_new_session=True,
         )
         opened = self._message()
         self.fps, self.depth_scale = opened["fps"], opened["depth_scale"]
@@ -100,13 +103,19 @@ class FilePlayer(Driver):
         child, self._child = self._child, None
         if child is not None:
             child.kill()
-            child.stdin.close()
-            child.stdout.close()
+            for pipe in filter(None, (child.stdin, child.stdout)):
+                pipe.close()
             child.wait()
 
+    @property
+    def _pipe(self) -> IO[bytes]:
+        """What the child writes."""
+        return self._opened(self._opened(self._child).stdout)
+
     def _message(self) -> dict:
+        line = self._pipe.readline(LONGEST_LINE)
         try:
-            message = json.loads(self._child.stdout.readline(LONGEST_LINE))
+            message = json.loads(line)
             complete = message.keys() >= _MESSAGES[message["kind"]]
         except (ValueError, LookupError, TypeError, AttributeError):
             complete = False
@@ -117,7 +126,7 @@ class FilePlayer(Driver):
         return message
 
     def _bytes(self, count: int) -> bytes:
-        content = self._child.stdout.read(count)
+        content = self._pipe.read(count)
         if len(content) < count:
             raise self._crashed()
         return content
@@ -142,7 +151,8 @@ def main(path: Path) -> None:
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
     module, name, _ = PLAYERS[path.suffix.lower()]
     try:
-        _play(getattr(importlib.import_module(f".{module}", __package__), name)(path=path), pipe)
+        make: Callable[..., CameraOrFile] = getattr(importlib.import_module(f".{module}", __package__), name)
+        _play(make(path=path), pipe)
     except AdaptiveFaceError as error:
         _say(pipe, kind="error", error=type(error).__name__, text=str(error))
     except OSError:
@@ -159,7 +169,7 @@ def _end_with_the_parent() -> None:
     os._exit(1)
 
 
-def _play(driver: Driver, pipe: BinaryIO) -> None:
+def _play(driver: CameraOrFile, pipe: BinaryIO) -> None:
     _in_time(driver.open)
     if max(driver.camera.width, driver.camera.height) > LONGEST_SIDE:
         raise SensorError(f"{driver.path}: pictures of {driver.camera.width} x {driver.camera.height} pixels")
@@ -169,11 +179,11 @@ def _play(driver: Driver, pipe: BinaryIO) -> None:
         if frame is None:
             _say(pipe, kind="none")
             continue
-        has_colour = frame.colour is not None
-        _say(pipe, False, kind="frame", colour=has_colour, sequence=frame.sequence, timestamp=frame.timestamp)
-        pipe.write(np.ascontiguousarray(frame.depth, np.float32))
-        if has_colour:
-            pipe.write(np.ascontiguousarray(frame.colour))
+        colour = frame.colour
+        _say(pipe, False, kind="frame", colour=colour is not None, sequence=frame.sequence, timestamp=frame.timestamp)
+        pipe.write(np.ascontiguousarray(frame.depth, np.float32).data)
+        if colour is not None:
+            pipe.write(np.ascontiguousarray(colour).data)
         pipe.flush()
 
 

@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from ctypes import POINTER, byref, c_int, c_int8, c_int16, c_int32, c_long, c_uint32, c_void_p
+from typing import Any
 
 import numpy as np
 
@@ -77,26 +78,29 @@ _SIGNATURES = {
 
 
 class _Library:
-    """libfreenect's functions as methods; raises :class:`DriverMissingError`."""
+    """The loaded libfreenect. Raises :class:`DriverMissingError`."""
 
     def __init__(self) -> None:
-        library = _load()
+        self._c = _load()
         for name, arguments in _SIGNATURES.items():
-            function = getattr(library, f"freenect_{name}")
+            function = getattr(self._c, f"freenect_{name}")
             function.argtypes, function.restype = arguments, _Mode if name.endswith("_mode") and "set" not in name else c_int
-            setattr(self, name, function)
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call the function ``freenect_name``, and return what it returns: a status, a number or a mode."""
+        return getattr(self._c, f"freenect_{name}")(*arguments)
 
     def context(self) -> c_void_p:
         """A new context that opens cameras only; raises :class:`SensorError`."""
         context = c_void_p()
-        if self.init(byref(context), None) < 0:
+        if self.call("init", byref(context), None) < 0:
             raise SensorError("Kinect v1: no access to the USB bus")
-        self.set_log_level(context, 0)
-        self.select_subdevices(context, _CAMERA_ONLY)
+        self.call("set_log_level", context, 0)
+        self.call("select_subdevices", context, _CAMERA_ONLY)
         return context
 
 
-def _load():
+def _load() -> ctypes.CDLL:
     chosen = os.environ.get(LIBRARY_VARIABLE)
     names = (chosen,) if chosen else _NAMES.get(sys.platform, ("libfreenect.so.0.5", "libfreenect.so.0", "libfreenect.so"))
     for name in names:
@@ -119,9 +123,9 @@ def connected_kinects() -> list[tuple[str, str]]:
     except SensorError as error:
         raise RuntimeError(str(error)) from None
     try:
-        return [(str(number), "Kinect v1") for number in range(max(library.num_devices(context), 0))]
+        return [(str(number), "Kinect v1") for number in range(max(library.call("num_devices", context), 0))]
     finally:
-        library.shutdown(context)
+        library.call("shutdown", context)
 
 
 class Kinect1Driver(Driver):
@@ -142,7 +146,8 @@ class Kinect1Driver(Driver):
             raise ParameterError(f"kinect1:{index}: the number of a Kinect is expected, 0 for the first")
         self._library = _Library()
         self.index, self.name = int(index or 0), f"Kinect v1 {index}".strip()
-        self._context = self._device = None
+        self._context: c_void_p | None = None
+        self._device: c_void_p | None = None
 
     @classmethod
     def connected(cls) -> list[tuple[str, str]]:
@@ -152,46 +157,48 @@ class Kinect1Driver(Driver):
     def open(self) -> None:
         """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
         library = self._library
-        self._context = library.context()
-        found = library.num_devices(self._context)
+        self._context = context = library.context()
+        found = library.call("num_devices", context)
         if found <= self.index:
             raise SensorNotFoundError(
                 f"{self.name}: no such Kinect is connected (found: {max(found, 0)}); it needs its power supply besides USB"
             )
         device = c_void_p()
-        if library.open_device(self._context, byref(device), self.index) < 0:
+        if library.call("open_device", context, byref(device), self.index) < 0:
             raise SensorError(f"{self.name}: cannot be opened; is another program using it, or are its udev rules missing?")
         self._device = device
         self._waiting = Pairing(MAX_SKEW_FRAMES / FPS)
-        self._clock, self._sequence, self._last_time = {}, -1, None
+        self._clock: dict[str, int] = {}
+        self._sequence = -1
+        self._last_time: float | None = None
         self._start(device)
         self._last_frame = time.perf_counter()
 
     def _start(self, device: c_void_p) -> None:
         library = self._library
-        modes = [library.get_depth_mode(number) for number in range(library.get_depth_mode_count())]
+        modes = [library.call("get_depth_mode", number) for number in range(library.call("get_depth_mode_count"))]
         formats = {mode.format: mode for mode in modes if mode.valid and mode.resolution == _MEDIUM}
         self.registered = _REGISTERED in formats
         depth_mode = formats.get(_REGISTERED, formats.get(_DEPTH_11_BIT))
         # the library keeps the bare pointers: the callbacks live as long as the driver
         self._callbacks = _Callback(self._on_depth), _Callback(self._on_video)
-        library.set_depth_callback(device, self._callbacks[0])
-        library.set_video_callback(device, self._callbacks[1])
+        library.call("set_depth_callback", device, self._callbacks[0])
+        library.call("set_video_callback", device, self._callbacks[1])
         steps = (
-            depth_mode is not None and library.set_depth_mode(device, depth_mode) >= 0,
-            library.set_video_mode(device, library.find_video_mode(_MEDIUM, _RGB)) >= 0,
-            library.start_depth(device) >= 0,
-            library.start_video(device) >= 0,
+            depth_mode is not None and library.call("set_depth_mode", device, depth_mode) >= 0,
+            library.call("set_video_mode", device, library.call("find_video_mode", _MEDIUM, _RGB)) >= 0,
+            library.call("start_depth", device) >= 0,
+            library.call("start_video", device) >= 0,
         )
         if not all(steps):
             raise SensorError(f"{self.name}: cannot start depth and colour; plug it in again, into another USB port")
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour."""
-        deadline = time.perf_counter() + timeout
+        context, deadline = self._opened(self._context), time.perf_counter() + timeout
         while True:
             left = max(deadline - time.perf_counter(), 0.001)
-            if self._library.process_events_timeout(self._context, byref(_Interval(0, int(left * 1e6)))) < 0:
+            if self._library.call("process_events_timeout", context, byref(_Interval(0, int(left * 1e6)))) < 0:
                 raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
             frame = self._pair()
             if frame is not None:
@@ -206,11 +213,11 @@ class Kinect1Driver(Driver):
         """Stop both streams and release the device."""
         device, self._device, context, self._context = self._device, None, self._context, None
         if device is not None:
-            self._library.stop_depth(device)
-            self._library.stop_video(device)
-            self._library.close_device(device)
+            self._library.call("stop_depth", device)
+            self._library.call("stop_video", device)
+            self._library.call("close_device", device)
         if context is not None:
-            self._library.shutdown(context)
+            self._library.call("shutdown", context)
 
     # ---- called by the library, within process_events_timeout ------------------------------------------------------
     def _on_depth(self, _device, address, ticks) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,7 +55,8 @@ class Kinect2Driver(Driver):
 
     def __init__(self, library=None) -> None:
         self._library = library or kinect_module()
-        self._sensor = self._registration = None
+        self._sensor: Any | None = None
+        self._registration: Registration | None = None
         self._sequence = 0
 
     @classmethod
@@ -89,11 +91,11 @@ class Kinect2Driver(Driver):
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; None where there is no depth."""
-        library = self._library
+        library, sensor = self._library, self._opened(self._sensor)
         try:
-            frames = self._sensor.wait_for_frames(max(int(timeout * 1000), 1))
+            frames = sensor.wait_for_frames(max(int(timeout * 1000), 1))
         except library.KinectTimeoutError:
-            if time.perf_counter() - self._last > PATIENCE and not self._sensor.is_available:
+            if time.perf_counter() - self._last > PATIENCE and not sensor.is_available:
                 raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back") from None
             return None
         except library.KinectError as error:
@@ -102,26 +104,27 @@ class Kinect2Driver(Driver):
         if frames.depth is None:
             return None
         if self._registration is None:  # the calibration comes with the first frames
-            self._registration = registration(self._sensor.mapper)
-        depth = self._registration.depth(frames.depth.data[:, ::-1].copy())
-        picture = None if frames.color is None else self._picture(frames)
+            self._registration = registration(sensor.mapper)
+        lens = self._registration
+        depth = lens.depth(frames.depth.data[:, ::-1].copy())
+        picture = None if frames.color is None else lens.image(_aligned(sensor.mapper, frames))
         self._sequence += 1
         seconds = frames.depth.relative_time_ns / 1e9
-        return RawFrame(depth, self._registration.camera, picture, self._sequence, seconds)
-
-    def _picture(self, frames) -> np.ndarray:
-        """(424, 512, 3) RGB of the picture at each pixel of the depth, not mirrored; black where there is no depth."""
-        where = np.array(self._sensor.mapper.map_depth_frame_to_color_space(frames.depth), np.float32)
-        where[~np.isfinite(where)] = -1e4
-        rgb = np.ascontiguousarray(frames.color.as_rgb())
-        aligned = cv2.remap(rgb, where[..., 0], where[..., 1], cv2.INTER_LINEAR)
-        return self._registration.image(aligned[:, ::-1].copy())
+        return RawFrame(depth, lens.camera, picture, self._sequence, seconds)
 
     def close(self) -> None:
         """Release the sensor."""
         sensor, self._sensor = self._sensor, None
         if sensor is not None:
             sensor.close()
+
+
+def _aligned(mapper, frames) -> np.ndarray:
+    """(424, 512, 3) RGB of the picture at each pixel of the depth, not mirrored; black where there is no depth."""
+    where = np.array(mapper.map_depth_frame_to_color_space(frames.depth), np.float32)
+    where[~np.isfinite(where)] = -1e4
+    rgb = np.ascontiguousarray(frames.color.as_rgb())
+    return cv2.remap(rgb, where[..., 0], where[..., 1], cv2.INTER_LINEAR)[:, ::-1].copy()
 
 
 def registration(mapper) -> Registration:

@@ -43,9 +43,9 @@ def _is_matroska(stream: BinaryIO) -> bool:
 def _has_marks(stream: BinaryIO, length: int) -> bool:
     for _ in range(_MAX_ELEMENTS):
         element = _element(stream)
-        if element is None or element[1] is None:  # the end; or a cluster of unknown size, as a broken-off file has it
+        identifier, size = element or (0, None)
+        if size is None:  # the end; or a cluster of unknown size, as a broken-off file has it
             return False
-        identifier, size = element
         end = stream.tell() + size
         if identifier in (_TAGS, _TRACKS, _ATTACHMENTS):
             content = stream.read(min(size, _MAX_SEARCHED))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from datetime import timedelta
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,8 @@ class OakDriver(Driver):
     def __init__(self, identifier: str = "") -> None:
         self._dai = depthai_module()
         self.identifier, self.name = identifier, f"OAK {identifier}".strip()
-        self._pipeline = self._device = None
+        self._pipeline: Any | None = None
+        self._device: Any | None = None
 
     @classmethod
     def connected(cls) -> list[tuple[str, str]]:
@@ -62,14 +64,14 @@ class OakDriver(Driver):
             found = ", ".join(d.getDeviceId() for d in devices) or "none"
             raise SensorNotFoundError(f"{self.name}: no such camera (connected: {found}); check the cable")
         try:
-            self._device = dai.Device(info)
-            self._pipeline = dai.Pipeline(self._device)
-            self._queue = self._build(self._pipeline)
-            self._pipeline.start()
+            self._device = device = dai.Device(info)
+            self._pipeline = pipeline = dai.Pipeline(device)
+            self._queue = self._build(pipeline, device)
+            pipeline.start()
         except RuntimeError as error:
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); use a USB 3 port") from None
 
-    def _build(self, pipeline):
+    def _build(self, pipeline, device):
         """Set up stereo depth that is aligned to the undistorted picture of the same moment; returns the queue of both."""
         dai, sockets, size = self._dai, self._dai.CameraBoardSocket, (WIDTH, HEIGHT)
         colour, left, right = (
@@ -84,7 +86,7 @@ class OakDriver(Driver):
         stereo.setLeftRightCheck(True)
         stereo.setSubpixel(True)  # whole disparities are centimetres apart at half a metre
         depth = stereo.depth
-        if self._device.getPlatform() == dai.Platform.RVC4:
+        if device.getPlatform() == dai.Platform.RVC4:
             align = pipeline.create(dai.node.ImageAlign)
             stereo.depth.link(align.input)
             picture.link(align.inputAlignTo)
@@ -99,12 +101,13 @@ class OakDriver(Driver):
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and picture."""
+        pipeline, device = self._opened(self._pipeline), self._opened(self._device)
         try:
             group = self._queue.get(timedelta(seconds=timeout))
         except self._dai.MessageQueue.QueueException as error:
             raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back") from error
         if group is None:
-            if self._device.isClosed() or not self._pipeline.isRunning():
+            if device.isClosed() or not pipeline.isRunning():
                 raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
             return None
         depth, picture = group["depth"], group["picture"]

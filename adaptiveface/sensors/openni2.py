@@ -23,8 +23,8 @@ from ..errors import (
 )
 from ..geometry.camera import Camera
 from . import openni2_library as oni
-from .driver import Driver, RawFrame
-from .openni2_library import OpenNI2Error, OpenNI2Library, by_the_owner
+from .driver import CameraOrFile, RawFrame
+from .openni2_library import Device, OpenNI2Error, OpenNI2Library, Stream, VideoMode, by_the_owner
 from .pairing import Pairing
 
 #: Preferred size and rate.
@@ -47,7 +47,7 @@ def connected_cameras() -> list[tuple[str, str]]:
     return library.devices()
 
 
-class OpenNI2Driver(Driver):
+class OpenNI2Driver(CameraOrFile):
     """A camera (by its URI, its number, or the first one), or the recording at ``path``, which plays as fast as it is read.
 
     A damaged recording can crash the process, so :class:`~adaptiveface.sensors.file_player.FilePlayer` plays it in another.
@@ -59,11 +59,10 @@ class OpenNI2Driver(Driver):
     def __init__(self, which: str = "", path: Path | None = None) -> None:
         if len(which) > 255:
             raise ParameterError(f"openni2:{which[:32]}...: a URI is shorter")
+        super().__init__(f"OpenNI2 {which}", path)
         self._library = OpenNI2Library()
-        self.which, self.path, self.live = which, path, path is None
-        self.name = path.stem if path else f"OpenNI2 {which}".strip()
-        self.fps, self.depth_scale = float(FPS), 1000.0
-        self._device = None
+        self.which, self.fps, self.depth_scale = which, float(FPS), 1000.0
+        self._device: Device | None = None
 
     @classmethod
     def connected(cls) -> list[tuple[str, str]]:
@@ -75,28 +74,29 @@ class OpenNI2Driver(Driver):
         """Start streaming; raises :class:`SensorNotFoundError`, :class:`FileFormatError` or :class:`SensorError`."""
         try:
             self._library.start()
-            self._device = self._open_device() if self.live else self._open_file()
-            self._prepare(self._device)
-            for stream in self._device.streams:
+            self._device = device = self._open_device() if self.path is None else self._open_file(self.path)
+            self._prepare(device)
+            for stream in device.streams:
                 stream.start()
         except OpenNI2Error as error:
             if not self.live:
                 raise FileFormatError(f"{self.path}: not a complete OpenNI2 recording with depth ({error})") from None
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); plug it in again") from None
-        self._silence, self._last_index, self._read = 0.0, {}, 0
+        self._silence, self._read = 0.0, 0
+        self._last_index: dict[Stream, int] = {}
         self._waiting = Pairing(MAX_SKEW_FRAMES / self.fps)
 
     @by_the_owner
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; depth alone from a device without colour."""
-        deadline = time.perf_counter() + timeout
+        device, deadline = self._opened(self._device), time.perf_counter() + timeout
         while True:
             self._check_end()
             patience = max(deadline - time.perf_counter(), 0.001)
-            stream = self._device.wait(patience)
+            stream = device.wait(patience)
             if stream is None:
                 self._silence += patience  # not measured by the clock, because this process may have been suspended
-                self._check_silence()
+                self._check_silence(device)
             else:
                 waiting = self._waiting.depth if stream is self._depth else self._waiting.colour
                 waiting.append(self._take(stream))
@@ -114,7 +114,7 @@ class OpenNI2Driver(Driver):
             device.close()
 
     # ---- opening ---------------------------------------------------------------------------------------------------
-    def _open_device(self):
+    def _open_device(self) -> Device:
         devices = self._library.devices()
         uri = self.which
         if uri.isdecimal() or not uri:
@@ -131,17 +131,17 @@ class OpenNI2Driver(Driver):
                 raise SensorError(f"{self.name}: cannot be opened ({error}); is another program using it?") from None
             raise self._not_found(devices) from None
 
-    def _not_found(self, devices) -> SensorNotFoundError:
+    def _not_found(self, devices: list[tuple[str, str]]) -> SensorNotFoundError:
         found = ", ".join(uri for uri, _ in devices) or "none"
         return SensorNotFoundError(f"{self.name}: no such OpenNI2 camera is connected (found: {found})")
 
-    def _open_file(self):
-        device = self._library.open(str(self.path.absolute()))
+    def _open_file(self, path: Path) -> Device:
+        device = self._library.open(str(path.absolute()))
         device.set(oni.PLAYBACK_REPEAT, ctypes.c_int(1))  # without it, the library sometimes crashes at the end
         device.set(oni.PLAYBACK_SPEED, ctypes.c_float(_FRAME_BY_FRAME))
         return device
 
-    def _prepare(self, device) -> None:
+    def _prepare(self, device: Device) -> None:
         """Create the streams, register depth to colour, and note size, rate, scale and calibration."""
         depth_modes, colour_modes = device.modes(oni.DEPTH), device.modes(oni.COLOUR)
         if not depth_modes:
@@ -158,7 +158,7 @@ class OpenNI2Driver(Driver):
         self._mirrored = [self._is_mirrored(stream) for stream in (self._depth, self._colour) if stream]
         self._count = 0 if self.live else self._depth.get(oni.NUMBER_OF_FRAMES, ctypes.c_int).value
 
-    def _configure(self, device, depth_modes, colour_modes) -> None:
+    def _configure(self, device: Device, depth_modes: list[VideoMode], colour_modes: list[VideoMode]) -> None:
         for stream, mode in zip(device.streams, best_modes(depth_modes, colour_modes), strict=False):
             if stream.get(oni.VIDEO_MODE, oni.VideoMode) != mode:
                 stream.set(oni.VIDEO_MODE, mode)
@@ -167,7 +167,7 @@ class OpenNI2Driver(Driver):
         if self._colour is not None:
             self._register(device)
 
-    def _register(self, device) -> None:
+    def _register(self, device: Device) -> None:
         if not device.registers_depth():
             raise SensorError(f"{self.name}: {device.title} cannot register its depth to its colour; not supported")
         device.set(oni.IMAGE_REGISTRATION, ctypes.c_int(oni.DEPTH_TO_COLOUR))
@@ -176,7 +176,7 @@ class OpenNI2Driver(Driver):
         except OpenNI2Error:
             pass  # then pictures are up to half a frame away from their depth
 
-    def _check_modes(self, modes) -> None:
+    def _check_modes(self, modes: list[VideoMode]) -> None:
         where = self.path or self.name
         formats = {oni.DEPTH: (oni.DEPTH_1_MM, oni.DEPTH_100_UM), oni.COLOUR: (oni.RGB888,)}
         for mode, (kind, allowed) in zip(modes, formats.items(), strict=False):
@@ -190,21 +190,21 @@ class OpenNI2Driver(Driver):
             sizes = " and ".join(f"{mode.width} x {mode.height}" for mode in modes)
             raise FileFormatError(f"{where}: depth and colour of {sizes} pixels; record both in the same size")
 
-    def _calibration(self, mode) -> Camera:
+    def _calibration(self, mode: VideoMode) -> Camera:
         """The colour camera's calibration if depth is registered to it, else the depth camera's."""
         stream = self._colour if self.live and self._colour is not None else self._depth
         kinds = oni.FOV_HORIZONTAL, oni.FOV_VERTICAL
         return camera_from_fov(mode.width, mode.height, *(stream.get(kind, ctypes.c_float).value for kind in kinds))
 
     @staticmethod
-    def _is_mirrored(stream) -> bool:
+    def _is_mirrored(stream: Stream) -> bool:
         try:
             return bool(stream.get(oni.MIRRORING, ctypes.c_int).value)
         except OpenNI2Error:
             return False
 
     # ---- frames ----------------------------------------------------------------------------------------------------
-    def _take(self, stream):
+    def _take(self, stream: Stream) -> tuple[np.ndarray, int, float]:
         image, index, timestamp = stream.read()
         self._silence = 0.0
         wrapped, self._last_index[stream] = index <= self._last_index.get(stream, -1), index
@@ -219,24 +219,26 @@ class OpenNI2Driver(Driver):
 
     def _pair(self) -> RawFrame | None:
         """A frame, once depth and colour of the same moment have arrived. A device without colour needs depth only."""
-        if self._colour is None:
-            found = (self._waiting.depth.popleft(), None) if self._waiting.depth else None
+        if self._colour is not None:
+            pair = self._waiting.take()
+            if pair is None:
+                return None
+            (image, index, timestamp), (picture, *_) = pair
+        elif self._waiting.depth:
+            (image, index, timestamp), picture = self._waiting.depth.popleft(), None
         else:
-            found = self._waiting.take()
-        if found is None:
             return None
-        (image, index, timestamp), colour = found
         millimetres = image * np.float32(1000.0 / self.depth_scale)
-        return RawFrame(millimetres, self.camera, None if colour is None else colour[0], index, timestamp)
+        return RawFrame(millimetres, self.camera, picture, index, timestamp)
 
     def _check_end(self) -> None:
         """End the recording once the last depth frame was read and waits for no picture."""
         if not self.live and 0 < self._count <= self._read and not self._waiting.depth:
             self._end()
 
-    def _check_silence(self) -> None:
+    def _check_silence(self, device: Device) -> None:
         if self.live:
-            if self._silence > LIVE_PATIENCE and self._device.uri not in [uri for uri, _ in self._library.devices()]:
+            if self._silence > LIVE_PATIENCE and device.uri not in [uri for uri, _ in self._library.devices()]:
                 raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
         elif self._silence > PLAYBACK_PATIENCE:
             if self._read:
@@ -250,7 +252,7 @@ class OpenNI2Driver(Driver):
         raise EndOfRecording(f"{self.path}: the end of the recording")
 
 
-def best_modes(depth_modes, colour_modes) -> list:
+def best_modes(depth_modes: list[VideoMode], colour_modes: list[VideoMode]) -> list[VideoMode]:
     """The depth mode closest to 640 x 480 at 30 Hz (0.1 mm preferred to 1 mm), and the colour mode of its size and rate.
 
     Raises :class:`OpenNI2Error` where no depth mode has a colour mode.

@@ -71,8 +71,6 @@ class VideoMode(ctypes.Structure):
     def __eq__(self, other) -> bool:
         return isinstance(other, VideoMode) and bytes(self) == bytes(other)
 
-    __hash__ = None
-
 
 class DeviceInfo(ctypes.Structure):
     """The library's description of a device."""
@@ -198,7 +196,8 @@ class Device:
     """An open device or file with the streams that were created on it."""
 
     def __init__(self, library: OpenNI2Library, handle: c_void_p) -> None:
-        self._library, self._handle, self.streams = library, handle, []
+        self._library, self._handle = library, handle
+        self.streams: list[Stream] = []
         self._opened = time.perf_counter()
         info = DeviceInfo()
         library.call("oniDeviceGetInfo", handle, byref(info))
@@ -296,7 +295,7 @@ def _title(info: DeviceInfo) -> str:
     return " ".join(f"{info.vendor.decode(errors='replace')} {info.name.decode(errors='replace')}".split())
 
 
-def _load():
+def _load() -> ctypes.CDLL:
     names = _FILES.get(sys.platform, ("libOpenNI2.so.0", "libOpenNI2.so"))
     folders = [os.environ[name] for name in FOLDER_VARIABLES if os.environ.get(name)]
     candidates = [str(Path(folder) / name) for folder in folders for name in names]

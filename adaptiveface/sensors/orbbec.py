@@ -6,6 +6,8 @@ two streams.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 
@@ -49,7 +51,8 @@ class OrbbecDriver(Driver):
     def __init__(self, serial: str = "") -> None:
         self._ob = orbbec_module()
         self.serial, self.name = serial, f"Orbbec {serial}".strip()
-        self._pipeline, self._silent = None, 0
+        self._pipeline: Any | None = None
+        self._silent = 0
 
     @classmethod
     def connected(cls) -> list[tuple[str, str]]:
@@ -104,7 +107,7 @@ class OrbbecDriver(Driver):
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; None where one is missing."""
-        frames = self._pipeline.wait_for_frames(max(int(timeout * 1000), 1))
+        frames = self._opened(self._pipeline).wait_for_frames(max(int(timeout * 1000), 1))
         depth = frames.get_depth_frame() if frames is not None else None
         if depth is None:
             self._check_connection()

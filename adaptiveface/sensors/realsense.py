@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ..errors import (
     SensorNotFoundError,
 )
 from ..geometry.camera import Camera
-from .driver import Driver, RawFrame
+from .driver import CameraOrFile, Driver, RawFrame
 
 #: Size and rate that every D400 camera has for both streams.
 WIDTH, HEIGHT, FPS = 640, 480, 30
@@ -46,7 +47,7 @@ def connected_cameras() -> list[tuple[str, str]]:
     return [tuple(device.get_info(field) for field in fields) for device in rs.context().query_devices()]
 
 
-class RealSenseDriver(Driver):
+class RealSenseDriver(CameraOrFile):
     """A camera (by its serial number, or the first one), or the recording at ``path``, which plays as fast as it is read.
 
     ``device`` is an SDK device to use instead, such as a software device.
@@ -56,11 +57,10 @@ class RealSenseDriver(Driver):
     description = "Intel RealSense"
 
     def __init__(self, serial: str = "", path: Path | None = None, device=None) -> None:
+        super().__init__(f"RealSense {serial}", path)
         self._rs = realsense_module()
-        self.serial, self.path, self._injected = serial, path, device
-        self.live = path is None
-        self.name = path.stem if path else f"RealSense {serial}".strip()
-        self._pipeline = None
+        self.serial, self._injected = serial, device
+        self._pipeline: Any | None = None
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
@@ -115,7 +115,7 @@ class RealSenseDriver(Driver):
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next pair of depth and colour; None where one of them is missing or of another moment."""
-        arrived, frames = self._pipeline.try_wait_for_frames(max(int(timeout * 1000), 1))
+        arrived, frames = self._opened(self._pipeline).try_wait_for_frames(max(int(timeout * 1000), 1))
         if not arrived:
             self._waited += timeout
             self._check_end()

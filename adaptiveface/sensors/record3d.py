@@ -78,8 +78,8 @@ class R3dRecording(NumberedFrames):
 
     def _read_metadata(self) -> None:
         metadata = self._metadata()
-        self._size = tuple(self._side(metadata, key) for key in ("dw", "dh"))
-        self._picture = picture = tuple(self._side(metadata, key) for key in ("w", "h"))
+        self._size = self._side(metadata, "dw"), self._side(metadata, "dh")
+        self._picture = picture = self._side(metadata, "w"), self._side(metadata, "h")
         if not 0.98 < self._size[0] * picture[1] / (self._size[1] * picture[0]) < 1.02:
             raise FileFormatError(f"{self.path}: depth {self._size} and picture {picture} differ in shape")
         k = focal_and_centre(self.path, "K", metadata.get("K"))
@@ -130,7 +130,9 @@ class R3dRecording(NumberedFrames):
                     raise FrameError(f"{self.path}: {entry}: {image.size} pixels are too many")
                 image.draft("RGB", self._size)
                 picture = image.convert("RGB")
-                return np.array(picture if picture.size == self._size else picture.resize(self._size, Image.BILINEAR))
+                return np.array(
+                    picture if picture.size == self._size else picture.resize(self._size, Image.Resampling.BILINEAR)
+                )
         except FrameError:
             raise
         except Exception as error:  # image decoders raise anything on damaged files
@@ -189,7 +191,8 @@ class R3dRecording(NumberedFrames):
         return self.camera
 
     def _camera(self, where: Path | str, values) -> Camera:
-        return scaled_camera(camera_of(where, self._picture, tuple(map(float, values))), self._size)
+        fx, fy, cx, cy = map(float, values)
+        return scaled_camera(camera_of(where, self._picture, (fx, fy, cx, cy)), self._size)
 
 
 def scaled_camera(picture: Camera, depth: tuple[int, int]) -> Camera:

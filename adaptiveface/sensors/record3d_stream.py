@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -51,7 +52,8 @@ class Record3DDriver(Driver):
         self._arrived = threading.Condition()
         self._newest: RawFrame | None = None
         self._failure: Exception | None = None
-        self._stopped, self._count, self._stream = False, 0, None
+        self._stopped, self._count = False, 0
+        self._stream: Any | None = None
 
     @classmethod
     def connected(cls) -> list[tuple[str, str]]:
@@ -65,10 +67,10 @@ class Record3DDriver(Driver):
         if device is None:
             found = ", ".join(d.udid for d in devices) or "none"
             raise SensorNotFoundError(f"{self.name}: no such iPhone by USB (found: {found}); plug it in and unlock it")
-        self._stream = self._stream_class()
-        self._stream.on_new_frame = self._on_frame
-        self._stream.on_stream_stopped = self._on_stopped
-        if not self._stream.connect(device):
+        self._stream = stream = self._stream_class()
+        stream.on_new_frame = self._on_frame
+        stream.on_stream_stopped = self._on_stopped
+        if not stream.connect(device):
             raise SensorError(f"{self.name}: no answer; open Record3D, choose USB streaming and press record")
 
     def grab(self, timeout: float) -> RawFrame | None:
@@ -118,5 +120,5 @@ def aligned_frame(depth: np.ndarray, picture: np.ndarray, intrinsics, number: in
     (height, width), (rows, columns) = depth.shape, picture.shape[:2]
     camera = scaled_camera(Camera(columns, rows, *intrinsics), (width, height))
     if (rows, columns) != (height, width):
-        picture = np.array(Image.fromarray(picture).resize((width, height), Image.BILINEAR))
+        picture = np.array(Image.fromarray(picture).resize((width, height), Image.Resampling.BILINEAR))
     return RawFrame(depth, camera, picture, number, time.perf_counter())

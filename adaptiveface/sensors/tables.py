@@ -166,8 +166,8 @@ def read_frame_cameras(path: Path, frames: range, camera: Camera) -> dict[int, C
     cameras = {}
     for line, (frame, *cells) in _rows(path, CAMERA_COLUMNS, _most_frames(frames)):
         number = _int(path, line, "frame", frame)
-        values = (_float(path, line, name, cell) for name, cell in zip(CAMERA_COLUMNS[1:], cells, strict=True))
-        known = camera_of(f"{path}: line {line}", (camera.width, camera.height), tuple(values))
+        fx, fy, cx, cy = (_float(path, line, name, cell) for name, cell in zip(CAMERA_COLUMNS[1:], cells, strict=True))
+        known = camera_of(f"{path}: line {line}", (camera.width, camera.height), (fx, fy, cx, cy))
         if number in frames:
             cameras[number] = known
     return cameras

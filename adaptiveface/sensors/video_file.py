@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +69,7 @@ class VideoFile(NumberedFrames):
 
     def __init__(self, path: str | os.PathLike, field_of_view: float | None = None) -> None:
         self.path, self.name = Path(path), Path(path).name
-        self._pictures: Iterator[tuple[int | None, np.ndarray]] | None = None
+        self._pictures: Generator[tuple[int | None, np.ndarray], None, None] | None = None
         self._found: tuple[int, np.ndarray] | None = None  # the frame decoded last
         if not self.path.is_file():
             raise FileFormatError(f"{self.path}: no such file")

@@ -24,9 +24,11 @@ def too_large(address: str) -> bool:
     """
     if sys.platform != "linux":
         return False
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    command, nowhere = [sys.executable, __file__], subprocess.DEVNULL
     try:
-        run = subprocess.run([sys.executable, __file__], input=address.encode(), timeout=PATIENCE_SECONDS, **quiet)
+        run = subprocess.run(
+            command, input=address.encode(), timeout=PATIENCE_SECONDS, stdout=nowhere, stderr=nowhere, check=False
+        )
     except subprocess.TimeoutExpired:
         return True
     return run.returncode not in (0, 1)

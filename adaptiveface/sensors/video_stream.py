@@ -6,7 +6,7 @@ demuxer knows better: its packets say when each frame is shown and which ones th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -156,7 +156,7 @@ def _decoded(container, stream) -> Iterator:
         return
 
 
-def pictures(path: Path) -> Iterator[tuple[int | None, np.ndarray]]:
+def pictures(path: Path) -> Generator[tuple[int | None, np.ndarray], None, None]:
     """Stamp and picture (H, W, 3) uint8 RGB of every frame in order, upright as the file's rotation says."""
     with _opened(path) as (container, stream):
         for frame in _decoded(container, stream):

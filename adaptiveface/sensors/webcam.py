@@ -110,14 +110,14 @@ class WebcamDriver(Driver):
         if isinstance(device, str) and self._open_mjpeg(device):
             return
         with quiet():
-            self._capture = _open(device)
-            if not self._capture.isOpened():
+            self._capture = capture = _open(device)
+            if not capture.isOpened():
                 raise _refused(self.name, device)
             if isinstance(device, int):
-                self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.size[0])
-                self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self.size[1])
-                self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture, where the system allows it
-            rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+                capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.size[0])
+                capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self.size[1])
+                capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture, where the system allows it
+            rate = float(capture.get(cv2.CAP_PROP_FPS))
         self.fps = rate if 1.0 <= rate <= 240.0 else 30.0
 
     def _open_mjpeg(self, address: str) -> bool:
@@ -134,6 +134,8 @@ class WebcamDriver(Driver):
 
     def grab(self, timeout: float) -> RawFrame | None:
         """The next picture. OpenCV's wait cannot be shortened: it lasts until the camera delivers a picture."""
+        if self._capture is None:
+            raise self._not_open()
         with quiet():
             found, picture = self._capture.read()
         if not found or picture is None:
