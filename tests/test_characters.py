@@ -292,7 +292,7 @@ def test_obj_shapes_round_trip(tmp_path):
         ("neutral.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("neutral.obj", "v 0 0\nf 1 2 3\n", "three"),
         ("neutral.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf a b c\n", "not made of numbers"),
-        ("jawOpen.obj", "v 0 0 0\nv 1 0 0\n", "2 vertices, the neutral has 3"),
+        ("jawOpen.obj", "v 0 0 0\nv 1 0 0\n", "2 vertices, but the neutral has 3"),
         ("jawOpen.obj", None, "ARKit name"),
         ("jawOpen.obj", "v 0 0 0\nv inf 0 0\nv 0 1 0\n", "not finite"),
     ],

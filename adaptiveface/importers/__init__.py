@@ -9,7 +9,7 @@ FLAME               .npz (a .pkl is refused)               principal components,
 GNM Head            gnm_head.npz                           principal components per face region
 ==================  =====================================  =====================================================
 
-None of these models ships with the package; their own licences apply.
+None of these models comes with the package. Their own licences apply.
 """
 
 from .basel import load_basel

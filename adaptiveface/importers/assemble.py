@@ -1,4 +1,4 @@
-"""Make a :class:`FaceModel` of a foreign file's arrays: check them, cut out the skin, find features and generic expressions."""
+"""Make a :class:`FaceModel` from the arrays of a foreign file: check them, cut out the skin, find features and expressions."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from .association import associate
 
 MAX_VERTICES, MAX_TRIANGLES, MAX_BYTES = 200_000, 400_000, 2 << 30
 MIN_VERTICES = 200
-HEAD_WIDTH_MM = (90.0, 400.0)  # of the mean: outside, the unit of length is not what the format says
-PCA_GENERIC = 11  # strongest components that become generic expressions, each with both signs: 22, and jawOpen makes 23
+HEAD_WIDTH_MM = (90.0, 400.0)  # range of the mean head's width; beyond it, the unit of length is wrong
+PCA_GENERIC = 11  # components that become generic expressions, each with both signs; with jawOpen, these are 23
 PCA_SIGMAS = 2.0
 NEGLIGIBLE_MM = 1e-3
 
@@ -28,9 +28,25 @@ NEGLIGIBLE_MM = 1e-3
 class ForeignModel:
     """The arrays of a foreign model, in our units.
 
-    mean (V, 3) mm; triangles (T, 3); identity_modes (M, V, 3), expressions (E, V, 3) float32 mm; names (E,); ``units``:
-    the expressions are activations in [0, 1] with ARKit names, else principal components per standard deviation; skin
-    (V,) bool, or None for the largest connected part.
+    Attributes
+    ----------
+    path : Path
+        The file, for messages.
+    mean : (V, 3)
+        Average head, mm.
+    triangles : (T, 3)
+        Vertex numbers.
+    identity_modes : (M, V, 3) float32
+        Displacements per standard deviation, mm.
+    expressions : (E, V, 3) float32
+        Displacements, mm.
+    names : (E,)
+        Names of the expressions.
+    units : bool
+        Whether the expressions are activations in [0, 1] with ARKit names. Otherwise, they are principal components, per
+        standard deviation.
+    skin : (V,) bool or None
+        With None, the skin is the largest connected part.
     """
 
     path: Path
@@ -44,7 +60,20 @@ class ForeignModel:
 
 
 def assemble(foreign: ForeignModel, feature_vertices=None) -> FaceModel:
-    """Check, cut, associate; raises :class:`FileFormatError` naming the file and the reason."""
+    """Make the face model.
+
+    Parameters
+    ----------
+    foreign : ForeignModel
+        The arrays.
+    feature_vertices : array-like or path-like, optional
+        As for :func:`read_feature_vertices`. By default, the features are found by fitting our own model.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and the reason.
+    """
     _check(foreign)
     chosen = None if feature_vertices is None else read_feature_vertices(feature_vertices, len(foreign.mean))
     foreign, number = _skin_only(foreign)
@@ -74,7 +103,7 @@ def assemble(foreign: ForeignModel, feature_vertices=None) -> FaceModel:
 
 
 def check_size(path: Path, vertices: int, triangles: int) -> None:
-    """Raise :class:`FileFormatError` for meshes that no face model has, before memory is allocated for them."""
+    """Raise :class:`FileFormatError` for sizes that no face model has, before memory is allocated for them."""
     if not MIN_VERTICES <= vertices <= MAX_VERTICES:
         raise FileFormatError(f"{path}: {vertices} vertices; a face model has {MIN_VERTICES} to {MAX_VERTICES}")
     if not MIN_VERTICES <= triangles <= MAX_TRIANGLES:
@@ -97,7 +126,7 @@ def _check(foreign: ForeignModel) -> None:
 
 
 def _skin_only(foreign: ForeignModel) -> tuple[ForeignModel, np.ndarray]:
-    """The skin alone (no eyeballs, teeth, lashes), and the new number of each old vertex, -1 where cut away."""
+    """The skin without eyeballs, teeth and lashes, and the new number of each old vertex, which is -1 if it is cut away."""
     n = len(foreign.mean)
     skin = _largest_part(foreign.triangles, n) if foreign.skin is None else foreign.skin
     triangles = foreign.triangles[skin[foreign.triangles].all(axis=1)]
@@ -142,7 +171,20 @@ def _without_empty(foreign: ForeignModel) -> ForeignModel:
 
 
 def read_feature_vertices(given, n_vertices: int) -> np.ndarray:
-    """(40,) vertex numbers: from 40 in the order of ``FEATURE_IDS``, 68 in iBUG order, or a text file of either."""
+    """Vertex numbers (40,) of the features.
+
+    Parameters
+    ----------
+    given : array-like or path-like
+        40 numbers in the order of ``FEATURE_IDS``, 68 numbers in iBUG's order, or a text file of either.
+    n_vertices : int
+        Number of the mesh's vertices.
+
+    Raises
+    ------
+    FileFormatError
+        There are more or fewer numbers, or one points outside the mesh.
+    """
     name = "feature_vertices"
     if isinstance(given, (str, os.PathLike)):
         name = os.fspath(given)
@@ -172,9 +214,10 @@ def _generic(foreign: ForeignModel, frontal: np.ndarray) -> tuple[np.ndarray, tu
 
 
 def arkit_generic(names: tuple[str, ...], path) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The mixtures of our own model over ARKit-named units; mixtures whose units are missing are left out.
+    """Weights (A, E) and names of our own model's generic expressions, as mixtures of units with ARKit names.
 
-    A unit without side (browInnerUp, cheekPuff) may be there as its Left and Right half.
+    Expressions whose units are all missing are left out. A unit without a side (browInnerUp, cheekPuff) may be split into a
+    Left and a Right half. Raises :class:`FileFormatError` if no unit is known.
     """
     own = embedded_face_model()
     column = {name: k for k, name in enumerate(names)}
@@ -194,9 +237,10 @@ def arkit_generic(names: tuple[str, ...], path) -> tuple[np.ndarray, tuple[str, 
 
 
 def component_generic(expressions, names, frontal: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Both signs of the components that move the face most, at 2 standard deviations, for coefficients in [0, 1].
+    """Weights (A, E) and names of generic expressions made of principal components.
 
-    An expression of another kind (FLAME's jawOpen) is taken as it is.
+    They are the components that move the face most, with both signs, at 2 standard deviations, because coefficients lie in
+    [0, 1]. FLAME's jawOpen is no component, and is used unchanged.
     """
     rows, kept = [], []
     energy = (expressions[:, frontal].astype(float) ** 2).sum(axis=(1, 2))

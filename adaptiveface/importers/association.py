@@ -1,7 +1,7 @@
 """Find features, the frontal region and the depth mask of a foreign mesh by fitting our own model to its mean head.
 
-The foreign mean is treated like a neutral scan: our model's pose and identity are fitted to it and the result is
-shrink-wrapped onto it (paper, section 3). What our mesh knows is then read off at the closest points.
+The foreign mean is treated like a neutral scan: our model's pose and identity are fitted to it, and the result is
+shrink-wrapped onto it (paper, section 3). The features and masks of our mesh are then transferred to the closest points.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..neutral.shrink_wrap import shrink_wrap
 from ..parameters import FitParameters, ShrinkWrapParameters
 
 SAMPLES = 60_000
-NORMAL_MM = 6.0  # a unit of difference between normals counts as this distance: keeps upper and lower lip apart
+NORMAL_MM = 6.0  # a difference of 1 between normals counts as this distance, which keeps upper and lower lip apart
 FRONTAL_REACH_MM = 25.0  # vertices farther from the fitted face do not belong to it
 DEPTH_REACH_MM = 4.0
 MIN_MATCHED, MAX_RESIDUAL_MM = 0.5, 1.5
@@ -31,10 +31,18 @@ _WRAP = ShrinkWrapParameters()
 
 @dataclass(frozen=True)
 class Association:
-    """feature_triangles (40, 3), feature_weights (40, 3), frontal (V,), depth_valid (V,) of the foreign mesh.
+    """What was found out about a foreign mesh of V vertices.
 
-    ``offset`` (3,) mm: to be added to the foreign vertices so that the face lies where our own model has it;
-    ``residual`` mm: median distance of the fitted face from the foreign one.
+    Attributes
+    ----------
+    feature_triangles, feature_weights : (40, 3)
+        The triangle on which each feature lies, and its barycentric weights there.
+    frontal, depth_valid : (V,) bool
+        The masks of :class:`FaceModel`.
+    offset : (3,)
+        Translation that brings the face to where it is in our own model, mm.
+    residual : float
+        Median distance between the fitted face and the foreign one, mm.
     """
 
     feature_triangles: np.ndarray
@@ -46,10 +54,21 @@ class Association:
 
 
 def associate(vertices: np.ndarray, triangles: np.ndarray, features: np.ndarray | None = None) -> Association:
-    """Fit our own model to a mean head, ``vertices`` (V, 3) mm, y up, face towards +z.
+    """Fit our own model to a mean head.
 
-    ``features`` (40,) vertex numbers, where the features are known already. Raises :class:`TrackingError` when the mesh
-    does not look like a face in millimetres.
+    Parameters
+    ----------
+    vertices : (V, 3)
+        In mm, with y up and the face towards +z.
+    triangles : (T, 3)
+        Vertex numbers.
+    features : (40,), optional
+        Vertex numbers of the features, if they are known.
+
+    Raises
+    ------
+    TrackingError
+        The mesh does not look like a face in millimetres.
     """
     model = embedded_face_model()
     start = _nose_tip(model.mean) - _nose_tip(vertices)
@@ -58,7 +77,7 @@ def associate(vertices: np.ndarray, triangles: np.ndarray, features: np.ndarray 
     wrap = shrink_wrap(scan, model, transform_points(fit.scan_from_head, fit.vertices), _WRAP)
     if wrap.matched[model.depth_valid].mean() < MIN_MATCHED or wrap.residual > MAX_RESIDUAL_MM:
         raise TrackingError(
-            f"only {wrap.matched[model.depth_valid].mean():.0%} of our own face meets it, {wrap.residual:.1f} mm apart"
+            f"only {wrap.matched[model.depth_valid].mean():.0%} of our own face matches it, {wrap.residual:.1f} mm apart"
         )
     fitted = wrap.vertices - start
     if features is None:
@@ -76,7 +95,7 @@ def _nose_tip(vertices: np.ndarray) -> np.ndarray:
 
 
 def _as_scan(vertices: np.ndarray, triangles: np.ndarray) -> FusedScan:
-    """A dense sampling of the surface: closest points must not depend on the foreign mesh's vertex spacing."""
+    """Sample the surface densely, because closest points must not depend on the spacing of the foreign mesh's vertices."""
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
     points, face = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
     normals = surface_points(vertex_normals(vertices, triangles), triangles[face], _weights(mesh, points, face))
@@ -91,7 +110,7 @@ def _weights(mesh, points: np.ndarray, face: np.ndarray) -> np.ndarray:
 
 
 def transfer_features(model: FaceModel, fitted, vertices, triangles) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (40, 3) and weights (40, 3) on the foreign mesh closest to the features of our ``fitted`` mesh."""
+    """Triangles (40, 3) and weights (40, 3) of the points on the foreign mesh that are closest to our ``fitted`` features."""
     points = surface_points(fitted, model.feature_triangles, model.feature_weights)
     directions = _unit(surface_points(vertex_normals(fitted, model.triangles), model.feature_triangles, model.feature_weights))
     corners, normals = vertices[triangles], _unit(triangle_normals(vertices, triangles))
@@ -108,7 +127,7 @@ def transfer_features(model: FaceModel, fitted, vertices, triangles) -> tuple[np
 
 
 def features_at(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (40, 3) and weights (40, 3) of features that sit on vertices (40,)."""
+    """Triangles (40, 3) and weights (40, 3) of features at vertices (40,)."""
     order = np.argsort(triangles.ravel(), kind="stable")
     first = order[np.searchsorted(triangles.ravel()[order], vertices)]
     found = triangles[first // 3]
@@ -116,7 +135,7 @@ def features_at(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
 
 
 def transfer_masks(model: FaceModel, fitted, vertices, triangles) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (V,) frontal and depth_valid of the foreign mesh, from the nearest vertex of our ``fitted`` mesh."""
+    """The masks frontal (V,) and depth_valid (V,) of the foreign mesh, from the nearest vertices of our ``fitted`` mesh."""
     normals = vertex_normals(vertices, triangles)
     own = np.hstack([fitted, NORMAL_MM * vertex_normals(fitted, model.triangles)])
     distance, nearest = cKDTree(own).query(np.hstack([vertices, NORMAL_MM * normals]))

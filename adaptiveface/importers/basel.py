@@ -1,7 +1,8 @@
-"""Basel Face Model 2017 and 2019 (Gerig et al. 2018, "Morphable Face Models - An Open Framework"): statismo HDF5 files.
+"""Read the Basel Face Model 2017 and 2019 (Gerig et al. 2018, "Morphable Face Models - An Open Framework"), HDF5 files.
 
-``shape/model``: mean (3 V,), pcaBasis (3 V, M) orthonormal, pcaVariance (M,); ``expression/model`` likewise, its mean a
-displacement; ``shape/representer/cells`` (3, T). Millimetres, y up, face towards +z.
+The files have statismo's layout. ``shape/model`` holds mean (3 V,), pcaBasis (3 V, M), which is orthonormal, and pcaVariance
+(M,). ``expression/model`` holds the same, and its mean is a displacement. ``shape/representer/cells`` holds the triangles (3,
+T). Lengths are millimetres; y points up, and the face looks towards +z.
 """
 
 from __future__ import annotations
@@ -23,9 +24,24 @@ def load_basel(
 ) -> FaceModel:
     """Read a Basel Face Model (2017 or 2019, any of its masks).
 
-    Its expressions are principal components, named pca000, pca001, ... in mm per standard deviation; the generic
-    expressions are both signs of the strongest ones. Raises :class:`FileFormatError` naming the file and the reason,
-    :class:`MissingExtraError` without h5py.
+    Its expressions are principal components named pca000, pca001, ..., in mm per standard deviation. The generic expressions
+    are the strongest of them with both signs.
+
+    Parameters
+    ----------
+    path : path-like
+        The .h5 file.
+    feature_vertices : array-like or path-like, optional
+        As for :func:`~adaptiveface.importers.load_ict_facekit`.
+    identity_modes, expression_modes : int
+        Largest numbers of modes to read.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and the reason.
+    MissingExtraError
+        h5py is not installed.
     """
     path = Path(path)
     h5py = _import_h5py()
@@ -49,7 +65,7 @@ def _import_h5py():
 
 
 class _Reader:
-    """Datasets by name, checked before they are read; links out of the file are refused."""
+    """Reads datasets by name, and checks them first. Links out of the file are refused."""
 
     def __init__(self, h5py, file, path: Path) -> None:
         self._h5py, self._file, self._path = h5py, file, path
@@ -107,7 +123,7 @@ def _vector(reader: _Reader, path: Path, name: str, length: int) -> np.ndarray:
 
 
 def _basis(reader: _Reader, path: Path, model: str, length: int, modes: int) -> np.ndarray:
-    """(M, V, 3) float32: components times their standard deviations."""
+    """(M, V, 3) float32 components, multiplied by their standard deviations."""
     basis = reader.read(f"{model}/pcaBasis", "f", 2, columns=modes)
     variance = reader.read(f"{model}/pcaVariance", "f", 1)[: basis.shape[1]]
     if basis.shape != (length, len(variance)):

@@ -19,9 +19,21 @@ _KNOWN = "an ICT-FaceKit folder, a Basel .h5, a FLAME, GNM or adaptiveface .npz"
 
 
 def import_face_model(path: str | os.PathLike, **options) -> FaceModel:
-    """Read any model this package knows; ``options`` go to its loader (``feature_vertices=``, ``identity_modes=``).
+    """Read a face model of any format that this package knows.
 
-    Raises :class:`FileFormatError` naming the file and the reason.
+    Parameters
+    ----------
+    path : path-like
+        The file or folder.
+    **options
+        Options of its loader, such as ``feature_vertices`` and ``identity_modes``.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and the reason.
+    ParameterError
+        Options are given for a file of this package, which takes none.
     """
     path = Path(path)
     if path.is_dir():

@@ -22,7 +22,7 @@ MM_PER_UNIT = 1000.0
 IDENTITY_COMPONENTS = 300
 JAW_JOINT = 2
 JAW_RADIANS = 0.4
-#: Pickles run code while they are read; this line is for an environment that can be thrown away.
+#: The line that converts a pickle. Pickles run code while they are read, so it is meant for a disposable environment.
 CONVERSION = (
     "python -c \"import pickle, numpy as np; d = pickle.load(open('{name}', 'rb'), encoding='latin1'); "
     "np.savez('{stem}.npz', **{{k: np.array(d[k].todense() if hasattr(d[k], 'todense') else d[k]) for k in "
@@ -63,9 +63,23 @@ def load_flame(
 ) -> FaceModel:
     """Read a FLAME model exported as npz.
 
-    ``identity_components``: how many of the leading ``shapedirs`` are identity (300 in FLAME 2016 to 2023). The
-    expressions are pca000, pca001, ... and, where the skinning is there, jawOpen (0.4 rad about the jaw joint). Raises
-    :class:`FileFormatError` naming the file and the reason; pickles are refused with the line that converts them.
+    The expressions are principal components and, if the file has the skinning, jawOpen: a turn of 0.4 rad about the jaw joint.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    feature_vertices : array-like or path-like, optional
+        As for :func:`~adaptiveface.importers.load_ict_facekit`.
+    identity_modes, expression_modes : int
+        Largest numbers of modes to read.
+    identity_components : int
+        How many of the leading ``shapedirs`` are identity. They are 300 in FLAME 2016 to 2023.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and the reason. For a pickle, it also shows the line that converts it.
     """
     path = Path(path)
     refuse_pickle(path)
@@ -90,13 +104,13 @@ def load_flame(
 
 
 def refuse_pickle(path: Path) -> None:
-    """Raise :class:`FileFormatError` for a pickle, by its name or first byte, with the way to convert it."""
+    """Raise :class:`FileFormatError` with the way to convert the file if its name or first byte is a pickle's."""
     with open_regular(path, MAX_BYTES) as file:
         first = file.read(1)
     if path.suffix in (".pkl", ".pickle") or first == b"\x80":
         line = CONVERSION.format(name=path.name, stem=path.stem)
         raise FileFormatError(
-            f"{path}: pickles are refused, because reading one runs whatever it holds. Convert it in an isolated "
+            f"{path}: pickles are refused, because reading one runs any code that it holds. Convert it in an isolated "
             f"environment (a container without network, with numpy, scipy and chumpy): {line}"
         )
 

@@ -17,7 +17,7 @@ from ..model.face_model import FaceModel
 from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 
 MM_PER_UNIT = 1000.0
-SKIN_GROUPS = ("skin_exterior", "skin")  # the first that the file has
+SKIN_GROUPS = ("skin_exterior", "skin")  # the first one in the file is used
 
 
 @record
@@ -39,8 +39,22 @@ class GnmFile:
 def load_gnm(path: str | os.PathLike, feature_vertices=None, identity_modes: int = 100) -> FaceModel:
     """Read a GNM head.
 
-    Its expressions are principal components per region of the face; the generic expressions are both signs of those
-    that move the face most. Raises :class:`FileFormatError` naming the file and the reason.
+    Its expressions are principal components of single regions of the face. The generic expressions are those that move the face
+    most, with both signs.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    feature_vertices : array-like or path-like, optional
+        As for :func:`~adaptiveface.importers.load_ict_facekit`.
+    identity_modes : int
+        Largest number of identity modes to read.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and the reason.
     """
     path = Path(path)
     file = GnmFile(**read(GnmFile, path, max_bytes=MAX_BYTES))

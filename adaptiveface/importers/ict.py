@@ -1,7 +1,7 @@
-"""ICT-FaceKit (Li et al. 2020, "Learning Formation of Physically-Based Face Attributes"): a folder of OBJ files.
+"""Read ICT-FaceKit (Li et al. 2020, "Learning Formation of Physically-Based Face Attributes"), a folder of OBJ files.
 
-``generic_neutral_mesh.obj``, ``identity000.obj``, ... and one OBJ per expression (``jawOpen.obj``, ``browDown_L.obj``),
-all on one topology, in centimetres; every target is the neutral with one mode at full strength.
+The folder holds ``generic_neutral_mesh.obj``, ``identity000.obj``, ..., and one file for each expression (``jawOpen.obj``,
+``browDown_L.obj``). All have the same topology, in centimetres. Every file is the neutral with one mode at full strength.
 """
 
 from __future__ import annotations
@@ -20,16 +20,27 @@ from .assemble import MAX_BYTES, ForeignModel, assemble, check_size
 
 NEUTRAL = "generic_neutral_mesh.obj"
 MM_PER_UNIT = 10.0
-#: In the released topology (26,719 vertices) the first 11,248 are face, head and neck (the model's own table).
+#: In the released topology of 26,719 vertices, the first 11,248 are face, head and neck, as the model's own table tells.
 RELEASED_VERTICES, RELEASED_SKIN = 26_719, 11_248
 
 
 def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_modes: int = 100) -> FaceModel:
-    """Read the folder ``FaceXModel`` of ICT-FaceKit.
+    """Read the folder ``FaceXModel`` of ICT-FaceKit. ``_L`` and ``_R`` in names become Left and Right.
 
-    ``feature_vertices``: 40 or 68 vertex numbers (or a text file of them), e.g. the Multi-PIE list of the model's own
-    documentation; by default the features are found by fitting our own model. ``_L`` and ``_R`` become Left and Right.
-    Raises :class:`FileFormatError` naming the file and what is wrong.
+    Parameters
+    ----------
+    folder : path-like
+        The folder.
+    feature_vertices : array-like or path-like, optional
+        Vertex numbers of 40 or 68 features, or a text file of them, such as the Multi-PIE list of the model's documentation.
+        By default, the features are found by fitting our own model.
+    identity_modes : int
+        Largest number of identity modes to read.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and what is wrong.
     """
     folder = Path(folder)
     neutral = folder / NEUTRAL
@@ -38,7 +49,7 @@ def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_
     identities = _numbered(folder)[:identity_modes]
     targets = sorted(p for p in folder.glob("*.obj") if is_own(p) and p.name != NEUTRAL and not p.stem.startswith("identity"))
     if not identities or not targets:
-        raise FileFormatError(f"{folder}: identity000.obj or the expression OBJ files are missing")
+        raise FileFormatError(f"{folder}: identity000.obj or the OBJ files of the expressions are missing")
     count = len(identities) + len(targets)
     if count * mean.size * 4 > MAX_BYTES:
         raise FileFormatError(f"{folder}: {count} shapes of {len(mean)} vertices need more than {MAX_BYTES >> 20} MiB")
@@ -58,7 +69,7 @@ def load_ict_facekit(folder: str | os.PathLike, feature_vertices=None, identity_
 
 
 def _numbered(folder: Path) -> list[Path]:
-    """identity000.obj, identity001.obj, ... up to the first gap."""
+    """The files identity000.obj, identity001.obj, ... up to the first gap."""
     found: list[Path] = []
     while (path := folder / f"identity{len(found):03d}.obj").is_file():
         found.append(path)
@@ -73,7 +84,7 @@ def _offset(path: Path, mean: np.ndarray) -> np.ndarray:
 
 
 def arkit_name(name: str) -> str:
-    """browDown_L -> browDownLeft."""
+    """Spell out the side of a name, as in browDown_L -> browDownLeft."""
     for suffix, side in (("_L", "Left"), ("_R", "Right")):
         if name.endswith(suffix):
             return name[: -len(suffix)] + side

@@ -1,11 +1,10 @@
-"""Apple's ARKit face shapes, and the paper's generic expressions as mixtures of them.
+"""Convert between coefficients of expressions and curves of Apple's ARKit face shapes.
 
-The table: row a of the weight matrix W (A, 52) says how strongly each ARKit shape takes part in expression a. For the
-23 generic expressions the rows are ``FaceModel.generic_weights``, the same numbers that the generic expressions were
-mixed from (``mouthSmileLeft`` is the ARKit shape of that name; ``browDown`` is browDownLeft + browDownRight;
-``noseSneer`` adds 0.6 cheekSquint to each side; ...). An expression whose own name is an ARKit name is that shape. So
-coefficients x (A,) become ARKit curves x W, and ARKit curves become coefficients by the bounded least squares
-min |x W - a|^2 with 0 <= x <= 1.
+Row a of the weight matrix W (A, 52) tells how strongly each ARKit shape takes part in expression a. For the 23 generic
+expressions, the rows are ``FaceModel.generic_weights``, of which the expressions themselves are mixed: ``mouthSmileLeft`` is
+the ARKit shape of that name, ``browDown`` is browDownLeft + browDownRight, ``noseSneer`` adds 0.6 cheekSquint on each side,
+and so on. An expression with an ARKit name is that shape. Coefficients x (A,) become ARKit curves x W. ARKit curves a (52,)
+become coefficients by the bounded least-squares problem min |x W - a|^2 with 0 <= x <= 1.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ from ..model.face_model import FaceModel, embedded_face_model
 from ..tracking.bounded import bounded_least_squares
 
 _NUMBER = {name: number for number, name in enumerate(ARKIT_NAMES)}
-# Keys are compared without case and separators; a trailing l or r stands for Left or Right.
+# Keys have neither capitals nor separators. A trailing l or r stands for Left or Right.
 _BY_KEY = {name.lower(): name for name in ARKIT_NAMES}
 _BY_KEY |= {name.lower().replace("left", "l"): name for name in ARKIT_NAMES if name.endswith("Left")}
 _BY_KEY |= {name.lower().replace("right", "r"): name for name in ARKIT_NAMES if name.endswith("Right")}
-# ICT-FaceKit and others split three shapes that ARKit does not: their halves are driven by the whole.
+# ICT-FaceKit and others split shapes that ARKit does not split. The whole drives both halves.
 _BY_KEY |= {whole.lower() + side: whole for whole in ("browInnerUp", "cheekPuff") for side in ("l", "r", "left", "right")}
 
 
 def canonical_name(name: str) -> str | None:
-    """The ARKit name that ``name`` stands for (any case, ``_L``/``Left``, separators), or None.
+    """The ARKit name that ``name`` stands for, or None. Case, separators, and ``_L`` for ``Left`` do not matter.
 
     >>> canonical_name("EYE_BLINK_L"), canonical_name("jaw-open"), canonical_name("frown")
     ('eyeBlinkLeft', 'jawOpen', None)
@@ -42,21 +41,33 @@ def canonical_name(name: str) -> str | None:
 
 @dataclass(frozen=True)
 class ArkitWeights:
-    """``matrix`` W (A, 52): rows follow ``names`` (A,), columns ``ARKIT_NAMES``; ``unknown``: names without a row."""
+    """The weights of ARKit's shapes in A expressions.
+
+    Attributes
+    ----------
+    names : (A,)
+        Names of the expressions.
+    matrix : (A, 52)
+        W, with a row per expression and a column for each of ``ARKIT_NAMES``.
+    unknown : tuple of str
+        Expressions whose rows are zero, because their names are not known.
+    """
 
     names: tuple[str, ...]
     matrix: np.ndarray
     unknown: tuple[str, ...]
 
     def curves(self, coefficients: np.ndarray) -> np.ndarray:
-        """(F, 52) ARKit curves in [0, 1] of coefficients (F, A); what adds up beyond 1 is clipped."""
+        """(F, 52) ARKit curves in [0, 1] of coefficients (F, A). Sums above 1 are clipped."""
         return np.clip(np.asarray(coefficients, float) @ self.matrix, 0.0, 1.0)
 
     def coefficients(self, curves: np.ndarray) -> np.ndarray:
-        """(F, A) coefficients in [0, 1] whose curves come closest to ARKit curves (F, 52) (least squares)."""
+        """(F, A) coefficients in [0, 1] whose curves are closest to ARKit curves (F, 52) in the least-squares sense."""
         curves = np.asarray(curves, float)
         count = len(self.names)
-        gram = self.matrix @ self.matrix.T + 1e-9 * np.eye(count)  # unknown names have zero rows and stay at zero
+        gram = self.matrix @ self.matrix.T + 1e-9 * np.eye(
+            count
+        )  # the rows of unknown names are zero, and so are their coefficients
         lower, upper = np.zeros(count), np.ones(count)
         return np.array(
             [bounded_least_squares(gram, self.matrix @ row, lower, upper, sweeps=5000, tolerance=1e-10) for row in curves]
@@ -64,10 +75,19 @@ class ArkitWeights:
 
 
 def arkit_weights(names: Sequence[str], model: FaceModel | None = None) -> ArkitWeights:
-    """The weight matrix of expressions ``names``: generic ones of the model (embedded by default) or ARKit names.
+    """The weight matrix of expressions.
 
-    Names that are neither are listed in ``unknown`` and have zero rows. Raises :class:`AdaptiveFaceError` when none of
-    the names is known.
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the model's generic expressions, or ARKit names. Others are listed as ``unknown``, and their rows are zero.
+    model : FaceModel, optional
+        By default, the embedded model.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        None of the names is known.
     """
     generic = generic_rows() if model is None else _rows(model)
     matrix = np.zeros((len(names), len(ARKIT_NAMES)))
@@ -86,7 +106,7 @@ def arkit_weights(names: Sequence[str], model: FaceModel | None = None) -> Arkit
 
 @lru_cache(maxsize=1)
 def generic_rows() -> dict[str, np.ndarray]:
-    """Generic expression of the embedded model -> its row (52,) of W."""
+    """The row (52,) of W by name of the embedded model's generic expression."""
     return _rows(embedded_face_model())
 
 

@@ -1,10 +1,10 @@
-"""ARKit's shapes, with their left and right halves, re-solved from final meshes (section 6).
+"""Re-solve ARKit's shapes, with their left and right halves, from final meshes (section 6).
 
-The paper's 23 generic expressions have no squint, dimple, press or wide eyes, and move brows, lips and nose alike on both
-sides. v4 holds more than they can say. So the model's expression units, which are ARKit's shapes one by one, are
-transferred to the actor's neutral as the 23 were (section 3), and v4 is solved for them as for the 23: bounded, and with
-a preference for few. The tracker itself is left alone. eyeLook shapes are not solved for: lids hardly show where an eye
-looks.
+The paper's 23 generic expressions have no squint, dimple, press or wide eyes, and move brows, lips and nose equally on both
+sides. The final mesh v4 shows more than they can express. Therefore the model's expression units, which are ARKit's shapes one
+by one, are transferred to the actor's neutral as the 23 expressions are (section 3). Then v4 is solved for them as for the 23,
+with bounds and a preference for few shapes. The tracker does not change. The eyeLook shapes are not solved for, because the
+lids hardly show where an eye looks.
 """
 
 from __future__ import annotations
@@ -35,9 +35,19 @@ def has_units(actor: Actor | None) -> bool:
 
 
 class ArkitResolve:
-    """Solves one actor's final meshes for ARKit's curves; the transfer of the units takes a few seconds.
+    """Solves the final meshes of one actor for ARKit's curves. The transfer of the units takes a few seconds.
 
-    Raises :class:`ParameterError` for an actor on another mesh.
+    Parameters
+    ----------
+    actor : Actor
+        The tracked rig.
+    parameters : BlendshapeParameters, optional
+        Those of the re-solve.
+
+    Raises
+    ------
+    ParameterError
+        The actor's mesh is not the face model's.
     """
 
     def __init__(self, actor: Actor, parameters: BlendshapeParameters | None = None) -> None:
@@ -51,7 +61,20 @@ class ArkitResolve:
         self._columns = [ARKIT_NAMES.index(name) for name in names]
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-        """(52,) curves in [0, 1] of a mesh (N, 3) mm in the head frame; ``start`` (52,): those of the frame before."""
+        """Solve one mesh.
+
+        Parameters
+        ----------
+        vertices : (N, 3)
+            Final mesh in the head frame, mm.
+        start : (52,), optional
+            Curves of the previous frame, at which the solver begins.
+
+        Returns
+        -------
+        (52,)
+            Curves in [0, 1].
+        """
         out = np.zeros(len(ARKIT_NAMES))
         solved = self._solve(vertices, None if start is None else start[self._columns])
         out[self._columns] = np.clip(solved, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Characters: a neutral mesh with named expression shapes, driven by a tracked performance (paper, section 6)."""
+"""Define characters: a neutral mesh with named expressions that a tracked performance drives (paper, section 6)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Displacements in character files are whole numbers of this many millimetres.
 STEP_MM = 0.04
 
-#: Most coordinates of all expressions together, 8 bytes each.
+#: Largest number of coordinates of all expressions together, 8 bytes each.
 MAX_VALUES = 100_000_000
 
 
@@ -49,14 +49,30 @@ class CharacterFile:
 
 @dataclass(frozen=True)
 class Character:
-    """A face to be driven. V vertices, T triangles, E expressions.
+    """A face to be driven, with V vertices, T triangles and E expressions.
 
-    neutral (V, 3) mm in the head frame (x to the subject's left, y up, z out of the face); triangles (T, 3) int32;
-    expression_names (E,) as in the file; expressions (E, V, 3) mm, displacements at full activation; colours (V, 3)
-    uint8 sRGB or None; skin: the first ``skin`` vertices are the skin, in the order of the tracking mesh where the
-    character was made from it (0: another topology); notes: what the loader left out or merged, one line each; mix
-    (E, 52): weights of the ARKit curves in each expression, None where every expression follows the curve of its name;
-    parts: expressions that nothing drives by themselves, but that driven ones are made of.
+    Attributes
+    ----------
+    name : str
+        Name of the character.
+    neutral : (V, 3)
+        Neutral face in the head frame (x to the subject's left, y up, z out of the face), mm.
+    triangles : (T, 3) int32
+        Vertex numbers.
+    expression_names : (E,)
+        Names as in the file.
+    expressions : (E, V, 3)
+        Displacements at full activation, mm.
+    colours : (V, 3) uint8 or None
+        sRGB.
+    skin : int
+        The first ``skin`` vertices are the skin, in the order of the tracking mesh. 0 if the character has another mesh.
+    notes : tuple of str
+        What the loader left out or merged, one line each.
+    mix : (E, 52) or None
+        Weights of the ARKit curves in each expression. With None, every expression follows the curve of its name.
+    parts : tuple of str
+        Expressions that no curve drives directly, because they are parts of driven ones.
     """
 
     name: str
@@ -71,16 +87,31 @@ class Character:
     parts: tuple[str, ...] = ()
 
     def shape(self, weights: np.ndarray) -> np.ndarray:
-        """(V, 3) mm, or (F, V, 3), for weights (E,) or (F, E) of the expressions."""
+        """Vertices (V, 3), or (F, V, 3), in mm for weights (E,), or (F, E), of the expressions."""
         flat = self.expressions.reshape(len(self.expressions), self.neutral.size)
         return self.neutral + (weights @ flat).reshape(*np.shape(weights)[:-1], -1, 3)
 
     def mesh(self, **weights: float) -> PolyData:
-        """The neutral face plus expressions as ``pyvista.PolyData`` in mm: ``character.mesh(jawOpen=0.7)``.
+        """The neutral face plus expressions, as in ``character.mesh(jawOpen=0.7)``.
 
-        Axes: x out of the face, y to the subject's left, z up. Arrays: ``displacement`` (V, 3) from the neutral, its length
-        ``distance`` (V,), ``normals`` (V, 3), and ``colours`` (V, 3) uint8 where the character has them. Raises
-        :class:`ParameterError` for a name that is no expression, and :class:`MissingExtraError` without pyvista.
+        Parameters
+        ----------
+        **weights : float
+            Activation of each named expression.
+
+        Returns
+        -------
+        pyvista.PolyData
+            In mm. The axes are x out of the face, y to the subject's left, z up. The arrays are ``displacement`` (V, 3) from
+            the neutral, its length ``distance`` (V,), ``normals`` (V, 3) and, if the character has them, ``colours`` (V, 3)
+            uint8.
+
+        Raises
+        ------
+        ParameterError
+            A name is no expression of the character.
+        MissingExtraError
+            pyvista is not installed.
         """
         vertices = self.shape(expression_weights(self.expression_names, weights))
         moved = vertices - self.neutral
@@ -92,7 +123,7 @@ class Character:
 
     @property
     def rows(self) -> np.ndarray:
-        """(E, 52) weights of the ARKit curves, columns ``ARKIT_NAMES``, in each expression; zero: nothing drives it."""
+        """(E, 52) weights of the ARKit curves ``ARKIT_NAMES`` in each expression; a row of zeros: undriven."""
         if self.mix is not None:
             return self.mix
         rows = np.zeros((len(self.expression_names), len(ARKIT_NAMES)))
@@ -102,12 +133,12 @@ class Character:
 
     @property
     def drivers(self) -> tuple[str | None, ...]:
-        """(E,) ARKit name whose curve is the weight of each expression; None for mixtures and what nothing drives."""
+        """(E,) name of the ARKit curve that is the weight of each expression; None for mixtures and undriven expressions."""
         return tuple(ARKIT_NAMES[row.argmax()] if row.max() == row.sum() == 1 else None for row in self.rows)
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Expressions that no ARKit shape drives: they stay at zero."""
+        """Expressions that no ARKit shape drives. They stay at zero."""
         return tuple(name for name, row in zip(self.expression_names, self.rows, strict=True) if not row.any())
 
     @property
@@ -117,7 +148,7 @@ class Character:
 
     @property
     def size(self) -> np.ndarray:
-        """(3,) mm: width, height and depth of the neutral."""
+        """(3,) width, height and depth of the neutral, mm."""
         return np.ptp(self.neutral, axis=0)
 
     def weights(self, curves: np.ndarray) -> np.ndarray:
@@ -130,7 +161,10 @@ class Character:
         return self.skin > 0 and len(self.triangles) >= count and np.array_equal(self.triangles[:count], triangles)
 
     def save(self, path: str | os.PathLike) -> None:
-        """Write a character npz; displacements are rounded to ``STEP_MM``."""
+        """Write the character as :class:`CharacterFile`. Displacements are rounded to ``STEP_MM``.
+
+        Raises :class:`FileFormatError` if a displacement is too large to be stored.
+        """
         moving = np.flatnonzero(np.abs(self.expressions).max(axis=(0, 2)) > STEP_MM / 2)
         steps = np.rint(self.expressions[:, moving] / STEP_MM)
         if np.abs(steps).max(initial=0) > 32767:
@@ -150,7 +184,20 @@ class Character:
 
 
 def load_character_npz(path: str | os.PathLike, name: str | None = None) -> Character:
-    """Read a file of :meth:`Character.save`; raises :class:`FileFormatError` naming what is wrong."""
+    """Read a file of :meth:`Character.save`.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    name : str, optional
+        Name of the character, by default that of the file.
+
+    Raises
+    ------
+    FileFormatError
+        The message names the file and what is wrong.
+    """
     file = CharacterFile(**read(CharacterFile, path, max_bytes=256 << 20))
     n = len(file.neutral)
     if 3 * n * len(file.expressions) > MAX_VALUES:
@@ -178,10 +225,23 @@ def make_character(
     shapes: Sequence[tuple[str, np.ndarray]],
     notes: Sequence[str] = (),
 ) -> Character:
-    """A character from target meshes: ``shapes`` of (name, displacement (V, 3) mm), each name once.
+    """Make a character of shapes.
 
-    Halves of a shape that ARKit does not split (ICT-FaceKit's ``browInnerUp_L`` and ``_R``) are joined to the whole, unless
-    the whole is there too: :func:`adaptiveface.retargeting.shape_names.driven_shapes` decides, and ``notes`` say it.
+    Halves of a shape that ARKit does not split (ICT-FaceKit's ``browInnerUp_L`` and ``_R``) are joined, unless the whole shape
+    is also there (:func:`adaptiveface.retargeting.shape_names.driven_shapes`). The character's ``notes`` tell what was joined.
+
+    Parameters
+    ----------
+    name : str
+        Name of the character.
+    neutral : (V, 3)
+        In mm.
+    triangles : (T, 3)
+        Vertex numbers.
+    shapes : sequence of (str, (V, 3))
+        Name and displacement, mm, of each shape. No name occurs twice.
+    notes : sequence of str
+        Notes of the loader, which come first.
     """
     names = [shape for shape, _ in shapes]
     chosen, merged_notes = driven_shapes(names)

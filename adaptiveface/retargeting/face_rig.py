@@ -1,7 +1,8 @@
 """Find out what drives the face of a glTF or VRM file, from its JSON alone.
 
-Morph targets with ARKit names are driven by the curve of that name. VRM's expressions take part under ARKit names ("perfect
-sync") and, for what no ARKit shape of the file shows, as VRM presets (:mod:`adaptiveface.retargeting.vrm_presets`).
+The curve of an ARKit name drives the morph targets of that name. VRM's expressions also take part if they have ARKit names
+("perfect sync"). VRM's presets (:mod:`adaptiveface.retargeting.vrm_presets`) are driven if no ARKit shape of the file shows
+the same.
 """
 
 from __future__ import annotations
@@ -21,9 +22,16 @@ MAX_EXPRESSIONS = 1000
 
 @dataclass
 class Expression:
-    """Morph targets that move together. row (52,): weights of the ARKit curves, zero where nothing drives it.
+    """Morph targets that move together.
 
-    binds: (mesh, morph target) -> weight of the target at full activation.
+    Attributes
+    ----------
+    name : str
+        Name in the file.
+    row : (52,)
+        Weights of the ARKit curves. All are zero if nothing drives the expression.
+    binds : dict
+        Weight of each target at full activation, by (mesh, morph target).
     """
 
     name: str
@@ -38,10 +46,18 @@ class Expression:
 
 @dataclass
 class FaceRig:
-    """The expressions of a file.
+    """The E expressions of a file.
 
-    counts: mesh -> number of its morph targets; notes: what is left at rest and why, one line each; empty: (mesh, morph
-    target) of those that move nothing.
+    Attributes
+    ----------
+    expressions : list of Expression
+        All of them, driven or not.
+    counts : dict
+        Number of morph targets by mesh.
+    notes : list of str
+        What stays at rest and why, one line each.
+    empty : set
+        (mesh, morph target) of targets that move nothing.
     """
 
     expressions: list[Expression]
@@ -50,12 +66,12 @@ class FaceRig:
     empty: set[tuple[int, int]]
 
     def activations(self, curves: np.ndarray) -> np.ndarray:
-        """(F, E) weights of the expressions for ARKit curves (F, 52)."""
+        """(F, E) weights in [0, 1] of the expressions for ARKit curves (F, 52)."""
         return np.clip(np.asarray(curves, float) @ np.array([e.row for e in self.expressions]).T, 0.0, 1.0)
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of expressions that nothing drives by themselves, and whose targets driven ones move, or move nothing."""
+        """Names of undriven expressions whose targets belong to driven ones, or move nothing."""
         moved = {bind for e in self.expressions if e.driven for bind in e.binds} | self.empty
         return tuple(e.name for e in self.expressions if not e.driven and moved & e.binds.keys())
 
@@ -64,7 +80,7 @@ class FaceRig:
         return sorted({target for e in self.expressions if e.driven for m, target in e.binds if m == mesh})
 
     def target_weights(self, mesh: int, activations: np.ndarray, rest: np.ndarray) -> np.ndarray:
-        """(F, T) weights of a mesh's morph targets; ``rest`` (T,) stays on those that nothing drives."""
+        """(F, T) weights of a mesh's morph targets for ``activations`` (F, E). Undriven ones keep ``rest`` (T,)."""
         mixture = np.zeros((len(self.expressions), self.counts[mesh]))
         for row, expression in zip(mixture, self.expressions, strict=True):
             for (number, target), weight in expression.binds.items() if expression.driven else ():
@@ -77,7 +93,10 @@ class FaceRig:
 
 
 def face_rig(file: GltfContainer) -> FaceRig:
-    """Read the rig; raises :class:`FileFormatError`: no morph targets, nothing that a curve could drive."""
+    """Read the rig of a file.
+
+    Raises :class:`FileFormatError` if the file has no morph targets, or none that a curve could drive.
+    """
     names = {mesh: target_names(file, entry) for mesh, entry in enumerate(file.items("meshes"))}
     counts = {mesh: len(listed) for mesh, listed in names.items() if listed}
     if not counts:
@@ -100,13 +119,13 @@ def face_rig(file: GltfContainer) -> FaceRig:
     if not any(expression.driven for expression in expressions.values()):
         some = ", ".join(list(dict.fromkeys(name for mesh in counts for name in names[mesh]))[:8])[:200]
         raise file.error(
-            f"no morph target has an ARKit name such as jawOpen, and no VRM preset such as aa is there (targets: {some})"
+            f"no morph target has an ARKit name such as jawOpen, and there is no VRM preset such as aa (targets: {some})"
         )
     return FaceRig(list(expressions.values()), counts, list(notes), empty)
 
 
 def _add(expressions: dict[str, Expression], name: str, row: np.ndarray | None, bind: tuple[int, int]) -> None:
-    """Add a morph target to the expression that moves with it: of the same row, or undriven and of the same name."""
+    """Add a morph target to the expression with the same row or, if it is undriven, with the same name."""
     key = f"driven {row.nonzero()[0].tolist()}" if row is not None else name
     expression = expressions.setdefault(key, Expression(name, np.zeros(len(ARKIT_NAMES)) if row is None else row))
     expression.binds[bind] = 1.0
@@ -115,7 +134,7 @@ def _add(expressions: dict[str, Expression], name: str, row: np.ndarray | None, 
 
 
 def _moves_nothing(file: GltfContainer, mesh: int, target: int) -> bool:
-    """Whether a morph target is a stub, as exporters write them for names that they do not fill."""
+    """Whether a morph target is a stub. Exporters write stubs for names without a shape."""
     for primitive in file.items("meshes")[mesh]["primitives"]:
         targets = primitive.get("targets") or []
         if target < len(targets) and "POSITION" in targets[target]:
@@ -127,7 +146,7 @@ def _moves_nothing(file: GltfContainer, mesh: int, target: int) -> bool:
 
 
 def _add_vrm(file: GltfContainer, expressions: dict[str, Expression], notes: dict, counts: dict[int, int], empty: set) -> None:
-    """VRM's expressions: perfect sync by name, then presets for what no ARKit shape shows."""
+    """Add VRM's expressions: first those with ARKit names, then presets for movements that no ARKit shape shows."""
     found = vrm_expressions(file)
     shown = (e.row for e in expressions.values() if not e.binds.keys() <= empty)
     covered = sum(shown, np.zeros(len(ARKIT_NAMES)))
@@ -163,7 +182,7 @@ def _valid(binds: dict[tuple[int, int], float], counts: dict[int, int]) -> dict[
 
 
 def target_names(file: GltfContainer, mesh: dict) -> list[str]:
-    """Names of a mesh's morph targets from the places that exporters use; [] for a mesh without."""
+    """Names of a mesh's morph targets, from the places where exporters write them; [] for a mesh without targets."""
     primitives = mesh["primitives"]
     if not all(isinstance(primitive["attributes"], dict) for primitive in primitives):
         raise file.error("a primitive's attributes are no object")
@@ -188,7 +207,10 @@ def _accessor_name(file: GltfContainer, target: dict):
 
 
 def vrm_expressions(file: GltfContainer) -> list[tuple[str, str | None, dict[tuple[int, int], float]]]:
-    """VRM 0.x and 1.0 expressions: name, VRM 1.0 preset or None, binds (mesh, target) -> weight."""
+    """Read the expressions of VRM 0.x and 1.0.
+
+    Each is a tuple of its name, its VRM 1.0 preset or None, and its weights by (mesh, morph target).
+    """
     found = []
     groups = _object(extensions(file.document), "VRM", "blendShapeMaster").get("blendShapeGroups") or []
     for group in groups[:MAX_EXPRESSIONS]:
@@ -207,7 +229,7 @@ def vrm_expressions(file: GltfContainer) -> list[tuple[str, str | None, dict[tup
 
 
 def _object(value: dict, *keys: str) -> dict:
-    """The object at the end of a path of keys, {} where there is none."""
+    """The object at the end of a path of keys, or {} if there is none."""
     for key in keys:
         below = value.get(key)
         value = below if isinstance(below, dict) else {}

@@ -1,4 +1,4 @@
-"""Characters from glTF 2.0 and VRM files: the neutral of the face as the file shows it, and what drives it."""
+"""Read characters from glTF 2.0 and VRM files: the neutral face as the file shows it, and what drives it."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ _GAZE = np.array([name.startswith("eyeLook") for name in ARKIT_NAMES])
 def load_gltf_character(path: str | Path, unit: float | None = None) -> Character:
     """Read the face of a .glb, .gltf or .vrm file.
 
-    Meshes without morph targets are kept where they lie within the face (eyes, teeth, hair) and left out elsewhere (a
-    body); notes say so. VRM 0.x looks along -z and is turned round.
+    Meshes without morph targets are kept if they lie within the face (eyes, teeth, hair). Others, such as a body, are left out,
+    and notes tell that. Characters of VRM 0.x look along -z, and are turned round.
 
     Parameters
     ----------
     path : path-like
         The file. Compressed meshes need the extra ``avatars``.
     unit : float, optional
-        Millimetres per unit of length of the file; 1000 as glTF demands where it is not given.
+        Millimetres per unit of length of the file, by default 1000, as glTF demands.
 
     Raises
     ------
     FileFormatError
-        With the file and the reason.
+        The message names the file and the reason.
     MissingExtraError
         The meshes are compressed, and the library that opens them is not installed.
     """
@@ -52,9 +52,22 @@ def load_gltf_character(path: str | Path, unit: float | None = None) -> Characte
 class OpenFace:
     """A character, and what its meshes tell about the nodes that carry it.
 
-    left_out: what a view of the character does not show, one line each; nodes: those whose meshes belong to the head;
-    alone: the scene shows nothing else; middle (3,) of the head in the file's unit; eyes: nodes that hold vertices which a
-    gaze target moves; carrier: the joint that holds most of what moves in the face, None without a skin.
+    Attributes
+    ----------
+    character : Character
+        The face.
+    left_out : tuple of str
+        What the character does not show of the file, one line each.
+    nodes : set of int
+        Nodes whose meshes belong to the head.
+    alone : bool
+        Whether the scene shows nothing but the head.
+    middle : (3,)
+        Middle of the head, in the file's unit.
+    eyes : set of int
+        Nodes that hold vertices which the gaze moves.
+    carrier : int or None
+        The joint that holds most of the moving face. None without a skin.
     """
 
     character: Character
@@ -67,7 +80,10 @@ class OpenFace:
 
 
 def open_face(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> OpenFace:
-    """Open the meshes of a file whose rig and nodes are known; raises as :func:`load_gltf_character` does."""
+    """Open the meshes of a file whose rig and nodes are known. Raises what :func:`load_gltf_character` raises.
+
+    ``unit`` is the number of millimetres per unit of the file.
+    """
     file.compressed.check()
     pieces = read_pieces(file, nodes)
     if not any(piece.has_targets for piece in pieces):
@@ -102,9 +118,9 @@ def open_face(file: GltfFile, nodes: Nodes, rig: FaceRig, unit: float) -> OpenFa
 def _shapes(
     file: GltfFile, nodes: Nodes, rig: FaceRig, pieces: list[Piece], starts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, _Holders]:
-    """The neutral (V, 3) of all pieces, the displacements (E, V, 3) of the rig's expressions, and what holds them.
+    """The neutral (V, 3) of all pieces, the displacements (E, V, 3) of the rig's expressions, and the joints that hold them.
 
-    ``starts`` (P + 1,) are the numbers of the pieces' first vertices. What nothing drives keeps its weight at rest.
+    ``starts`` (P + 1,) are the numbers of the pieces' first vertices. Undriven morph targets keep their weights at rest.
     """
     file.spend(3 * int(starts[-1]) * len(rig.expressions), zeros=True)
     shapes = np.zeros((len(rig.expressions), starts[-1], 3))
@@ -124,14 +140,14 @@ def _shapes(
 
 
 class _Holders:
-    """Which joints hold what moves in the face, and which hold what the gaze moves."""
+    """Counts which joints hold the vertices that move in the face, and which hold those that the gaze moves."""
 
     def __init__(self) -> None:
         self.eyes: set[int] = set()
         self._held: dict[int, float] = {}
 
     def count(self, piece: Piece, shape: np.ndarray, expression: Expression) -> None:
-        """Add what the displacements ``shape`` (V, 3) of an expression move."""
+        """Count the vertices that an expression moves by ``shape`` (V, 3)."""
         held = piece.held
         if held is None or not expression.driven:
             return
@@ -145,12 +161,12 @@ class _Holders:
             self.eyes |= set(np.unique(strongest).tolist())
 
     def carrier(self) -> int | None:
-        """The joint that holds most."""
+        """The joint that holds most of them, or None."""
         return int(max(self._held, key=self._held.__getitem__)) if self._held else None
 
 
 def rest_weights(file: GltfFile, nodes: Nodes, rig: FaceRig, node: int) -> np.ndarray:
-    """(T,) weights of the morph targets of a node's mesh at rest: the node's, else the mesh's, else zero (3.7.2.2)."""
+    """(T,) weights at rest of a node's morph targets: the node's, else its mesh's, else zero (glTF 2.0, 3.7.2.2)."""
     mesh = nodes.entries[node]["mesh"]
     count = rig.counts.get(mesh, 0)
     for place in (nodes.entries[node], file.item("meshes", mesh)):
@@ -163,7 +179,7 @@ def rest_weights(file: GltfFile, nodes: Nodes, rig: FaceRig, node: int) -> np.nd
 
 
 def _users(rig: FaceRig, mesh: int) -> dict[int, list[tuple[int, float]]]:
-    """Morph target of a mesh -> the expressions that move it, and by how much."""
+    """The expressions that move each morph target of a mesh, and by how much."""
     users: dict[int, list[tuple[int, float]]] = {}
     for number, expression in enumerate(rig.expressions):
         for (owner, target), weight in expression.binds.items():
@@ -190,7 +206,7 @@ def _heads(file: GltfFile, nodes: Nodes, pieces: list[Piece], unit: float) -> li
 
 
 def _near_the_face(pieces: list[Piece]) -> tuple[list[Piece], list[str]]:
-    """Pieces with morph targets, and the others whose middle lies in their surroundings."""
+    """Pieces with morph targets, and other pieces whose middle lies near them; and a note about those left out."""
     face = np.concatenate([piece.vertices for piece in pieces if piece.has_targets])
     low, high = face.min(axis=0), face.max(axis=0)
     margin = 0.25 * (high - low)

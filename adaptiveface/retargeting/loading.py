@@ -49,12 +49,12 @@ def load_character(source: str | os.PathLike, unit: float | None = None) -> Char
     if path.suffix.lower() == ".npz":
         return load_character_npz(path)
     raise ParameterError(
-        f"character '{text[:200]}': neither built in ({', '.join(BUILT_IN)}) nor a .glb, .gltf, .vrm or .npz file or a "
-        "folder of OBJ files"
+        f"character '{text[:200]}': it is neither built in ({', '.join(BUILT_IN)}), nor a .glb, .gltf, .vrm or .npz file, nor "
+        "a folder of OBJ files"
     )
 
 
 def is_gltf(source: str | os.PathLike) -> bool:
-    """Whether a character is a .glb, .gltf or .vrm file."""
+    """Whether a character is a .glb, .gltf or .vrm file, judged by its name."""
     path = Path(source)
     return os.fspath(source) not in BUILT_IN and path.suffix.lower() in (".glb", ".gltf", ".vrm") and not path.is_dir()

@@ -1,6 +1,6 @@
-"""Characters from a folder of OBJ files: ``neutral.obj``, ``jawOpen.obj``, ... with ARKit names, any topology.
+"""Read characters from a folder of OBJ files with ARKit names: ``neutral.obj``, ``jawOpen.obj``, ... on any mesh.
 
-ICT-FaceKit's folder works as it is: ``generic_neutral_mesh.obj`` is its neutral, ``identity000.obj`` ... are left out.
+ICT-FaceKit's folder works as it is. Its neutral is ``generic_neutral_mesh.obj``, and ``identity000.obj`` etc. are left out.
 """
 
 from __future__ import annotations
@@ -25,9 +25,19 @@ _IDENTITY = re.compile(r"identity\d+|random_identity\w*")
 
 
 def load_obj_folder(folder: str | Path, unit: float | None = None) -> Character:
-    """The character in a folder of OBJ files; without ``unit`` (mm per unit) it is told from the size of the head.
+    """Read the character in a folder of OBJ files.
 
-    Raises :class:`FileFormatError`: no neutral, no shape, a shape with another number of vertices, bad values.
+    Parameters
+    ----------
+    folder : path-like
+        The folder.
+    unit : float, optional
+        Millimetres per unit of length of the files. By default, the size of the head decides.
+
+    Raises
+    ------
+    FileFormatError
+        There is no neutral or no shape, or a shape has another number of vertices than the neutral, or a file is malformed.
     """
     folder = Path(folder)
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".obj" and is_own(p) and p.is_file())
@@ -48,7 +58,7 @@ def load_obj_folder(folder: str | Path, unit: float | None = None) -> Character:
     for path in shape_paths:
         vertices = read_obj_vertices(path)
         if len(vertices) != len(neutral):
-            raise FileFormatError(f"{path}: {len(vertices)} vertices, the neutral has {len(neutral)}")
+            raise FileFormatError(f"{path}: {len(vertices)} vertices, but the neutral has {len(neutral)}")
         shapes.append((path.stem, vertices - neutral))
     skipped = len(paths) - 1 - len(shape_paths)
     notes = [f"{skipped} identity shapes left out"] if skipped else []

@@ -1,4 +1,4 @@
-"""Pictures of characters by the headless renderer."""
+"""Draw pictures of characters with the renderer that needs no display."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from ..geometry.painting import lit, paint
 from ..geometry.rendering import Light, picture
 from .character import Character
 
-#: Facing the camera: head frame (y up, z out of the face) to camera frame (y down, z forward).
+#: Rotation of a head that faces the camera, from the head frame (y up, z out of the face) to the camera frame (y down, z
+#: forward).
 FACING = np.diag([1.0, -1.0, -1.0])
 SKIN = (205, 170, 150)
 _LIGHT = Light(ambient=0.34, head=0.40, key=0.36, specular=0.10)
@@ -26,10 +27,29 @@ def portrait(
     background: tuple[int, int, int] = (255, 255, 255),
     zoom: float = 1.0,
 ) -> np.ndarray:
-    """(size, size, 3) uint8: ``vertices`` (V, 3) of a character's head frame, seen from the front.
+    """Draw a character from the front.
 
-    ``rotation`` (3, 3) turns the head (head to camera, as ``head_pose``); None faces the camera; ``yaw`` degrees more;
-    ``rays`` per pixel and axis: 2 for edges without steps, 1 for four times the speed.
+    Parameters
+    ----------
+    vertices : (V, 3)
+        In the head frame, mm.
+    size : int
+        Width and height of the picture, px.
+    rotation : (3, 3), optional
+        From the head to the camera frame, as in ``head_pose``. By default, the head faces the camera.
+    yaw : float
+        Further turn about the vertical axis, degrees.
+    rays : int
+        Rays per pixel and axis: 2 smooths edges, 1 is four times as fast.
+    background : (3,)
+        sRGB, 0 to 255.
+    zoom : float
+        Magnification.
+
+    Returns
+    -------
+    (size, size, 3) uint8
+        RGB.
     """
     turn = FACING if rotation is None else rotation
     turn = turn @ rotation_vector_matrix(np.array([0.0, np.radians(yaw), 0.0]))
@@ -42,7 +62,10 @@ def portrait(
 
 
 def painted_portrait(character: Character, vertices: np.ndarray, size: int, rotation: np.ndarray) -> np.ndarray:
-    """As :func:`portrait` with one ray per pixel on white, lit at the vertices: for films, in a fifth of the time."""
+    """Draw as :func:`portrait` does, with one ray per pixel on white, and light computed at the vertices.
+
+    This takes a fifth of the time, and serves for films.
+    """
     camera, points = _view(character, vertices, size, rotation)
     colours = lit(points, character.triangles, _albedo(character), _LIGHT)
     return paint(camera, points, np.ascontiguousarray(character.triangles, np.int64), colours, cull=True)
@@ -55,7 +78,7 @@ def _albedo(character: Character) -> np.ndarray:
 def _view(
     character: Character, vertices: np.ndarray, size: int, turn: np.ndarray, zoom: float = 1.0
 ) -> tuple[Camera, np.ndarray]:
-    """The camera that frames a character, ``size`` pixels square, and its vertices (V, 3) before it."""
+    """A camera of ``size`` x ``size`` pixels that frames a character, and the vertices (V, 3) in its frame, mm."""
     middle, extent = framing(character)
     distance = 4.0 * extent
     focal = zoom * 0.92 * size * distance / (1.12 * extent)
@@ -64,6 +87,6 @@ def _view(
 
 
 def framing(character: Character) -> tuple[np.ndarray, float]:
-    """Middle (3,) and extent, mm, of what a portrait shows."""
+    """Middle (3,) and extent of what a portrait shows, mm."""
     low, high = character.neutral.min(axis=0), character.neutral.max(axis=0)
     return (low + high) / 2, float((high - low)[:2].max())

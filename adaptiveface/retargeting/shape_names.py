@@ -1,8 +1,7 @@
 """Match a face's shapes with ARKit's so that no movement is driven twice.
 
-A shape may be there as a whole and as two halves (``browInnerUp`` beside ``browInnerUpLeft`` and
-``browInnerUpRight``), or twice under two spellings. One of them is driven: the whole where ARKit has a whole, the halves
-where it has halves.
+A face may have a shape as a whole and as two halves (``browInnerUp`` beside ``browInnerUpLeft`` and ``browInnerUpRight``), or
+twice in two spellings. Only one of them is driven: the whole if ARKit has the whole, the halves if it has halves.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _OTHER_NAMES = {"mouthopen": {"jawOpen": 1.0}, "eyesclosed": {"eyeBlinkLeft": 0.
 
 
 def arkit_row(name: str) -> np.ndarray | None:
-    """(52,) weights of ARKit's shapes in a shape of that name, None for names that mean nothing to ARKit.
+    """(52,) weights of ARKit's shapes in a shape of that name, or None if the name corresponds to none of them.
 
     A whole that ARKit splits (``eyeBlink``, ``mouthSmile``) is driven by the mean of its halves.
     """
@@ -38,12 +37,25 @@ def _of_halves(name: str) -> dict[str, float]:
 
 
 def letters(name: str) -> str:
-    """Letters and digits of a name in lower case: programs write the same name in many ways."""
+    """The letters and digits of a name in lower case, because programs write the same name in many ways."""
     return "".join(c for c in name.lower() if c.isalnum())
 
 
 def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str]]:
-    """Number in ``names`` -> its row (52,) for the shapes of one mesh that are driven, and notes about the others."""
+    """Choose which shapes of one mesh are driven.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the mesh's shapes.
+
+    Returns
+    -------
+    chosen : dict
+        The weights (52,) of ARKit's shapes by number of each shape that is driven.
+    notes : list of str
+        Lines about shapes that were joined or left out.
+    """
     rows = {number: row for number, name in enumerate(names) if (row := arkit_row(name)) is not None}
     direct = {number: canonical_name(name) for number, name in enumerate(names)}
     chosen: dict[int, np.ndarray] = {}
@@ -71,7 +83,7 @@ def driven_shapes(names: Sequence[str]) -> tuple[dict[int, np.ndarray], list[str
 
 
 def _half(name: str, arkit: str) -> str:
-    """Which side ("l", "r") of a shape that ARKit does not split the name stands for; "" where it is the whole."""
+    """The side ("l" or "r") that a name adds to a shape that ARKit does not split; "" for the whole."""
     keys = [letters(part) for part in (name, name.rsplit(".", 1)[-1])]
     return next((side[0] for side in _SIDES if arkit.lower() + side in keys), "")
 

@@ -1,6 +1,6 @@
 """Smooth coefficient curves with a one-euro filter or the Kalman model, and measure what that costs.
 
-The cost: jitter on a still face (what smoothing is for) against lag on a step (what it takes).
+The benefit is less jitter on a still face, and the cost is the lag after a step.
 """
 
 from __future__ import annotations
@@ -16,21 +16,30 @@ from ..tracking.kalman import CoefficientFilter
 
 
 class Smoothing(Protocol):
-    """A causal filter of curves, for recordings (``apply``) and streams (``step``)."""
+    """A causal filter of curves for recordings (:meth:`apply`) and streams (:meth:`step`)."""
 
     def apply(self, values: np.ndarray, timestamps: np.ndarray) -> np.ndarray:
-        """(F, ...) filtered values at times (F,) s; every channel on its own."""
+        """(F, ...) filtered values at times (F,), s. Every channel is filtered separately."""
 
     def step(self, value: np.ndarray, dt: float, state: Any) -> tuple[np.ndarray, Any]:
-        """One sample of a stream: (filtered value, new state); ``state`` None at the start, ``dt`` s."""
+        """Filter one sample of a stream, ``dt`` s after the last. ``state`` is None at the start.
+
+        Returns the filtered value and the new state.
+        """
 
 
 @dataclass(frozen=True)
 class OneEuro:
     """One-euro filter (Casiez, Roussel & Vogel 2012): a low-pass filter whose cut-off follows the speed of the signal.
 
-    cutoff Hz: at rest, lower is smoother; beta (per unit and second): how fast the cut-off rises with speed, higher
-    lags less; speed_cutoff Hz: low-pass on the speed. Values lie in [0, 1], so beta is of order 1.
+    Parameters
+    ----------
+    cutoff : float
+        Cut-off of a signal at rest, Hz. A lower one smooths more.
+    beta : float
+        Increase of the cut-off per unit of speed. A larger one lags less. It is of order 1, because the values lie in [0, 1].
+    speed_cutoff : float
+        Cut-off of the low-pass filter of the speed, Hz.
     """
 
     cutoff: float = 2.0
@@ -42,10 +51,10 @@ class OneEuro:
             if not 1e-6 < getattr(self, name) < 1e6:
                 raise ParameterError(f"{name} = {getattr(self, name)}: a frequency in Hz is expected")
         if not 0 <= self.beta < 1e6:
-            raise ParameterError(f"beta = {self.beta}: a number from 0 on is expected")
+            raise ParameterError(f"beta = {self.beta}: a number of at least 0 is expected")
 
     def apply(self, values: np.ndarray, timestamps: np.ndarray) -> np.ndarray:
-        """(F, ...) filtered values at times (F,) s; every channel on its own."""
+        """(F, ...) filtered values at times (F,), s. Every channel is filtered separately."""
         values = np.asarray(values, float)
         out, state = np.empty_like(values), None
         for frame, value in enumerate(values):
@@ -54,7 +63,10 @@ class OneEuro:
         return out
 
     def step(self, value: np.ndarray, dt: float, state: tuple[np.ndarray, np.ndarray] | None):
-        """One sample of a stream: (filtered value, new state); ``state`` None at the start, ``dt`` s."""
+        """Filter one sample of a stream, ``dt`` s after the last. ``state`` is None at the start.
+
+        Returns the filtered value and the new state.
+        """
         if state is None:
             return value, (value, np.zeros_like(value))
         before, speed = state
@@ -66,28 +78,31 @@ class OneEuro:
 
 @dataclass(frozen=True)
 class KalmanSmoothing:
-    """The Kalman model of section 4.2 on finished curves; ``model`` as ``kalman.model`` in the parameters.
+    """The Kalman filter of section 4.2, applied to finished curves. Every sample is one step, whatever its time.
 
-    One sample is one step, whatever its time. ``variance`` hardly smooths and hardly lags, ``acceleration`` does both:
-    :class:`CoefficientFilter` says how the paper's two noises lead to either.
+    Parameters
+    ----------
+    model : str
+        As ``kalman.model`` in the parameters. "variance" hardly smooths and hardly lags, and "acceleration" does both.
+        :class:`CoefficientFilter` explains how the paper's two noises lead to either.
     """
 
     model: str = "variance"
 
     def apply(self, values: np.ndarray, timestamps: np.ndarray) -> np.ndarray:
-        """(F, A) filtered values; the times are not used."""
+        """(F, A) filtered values. The times are not used."""
         smoother = CoefficientFilter(KalmanParameters(model=self.model))
         return np.array([smoother.update(value) for value in np.asarray(values, float)]).reshape(np.shape(values))
 
     def step(self, value: np.ndarray, dt: float, state: CoefficientFilter | None):
-        """One sample (A,) of a stream: (filtered value, new state); ``state`` None at the start."""
+        """Filter one sample (A,) of a stream. ``state`` is None at the start. Returns the filtered value and the new state."""
         state = CoefficientFilter(KalmanParameters(model=self.model)) if state is None else state
         return state.update(value), state
 
 
 #: The filters that the command line offers.
 FILTERS: dict[str, type[Smoothing]] = {"one-euro": OneEuro, "kalman": KalmanSmoothing}
-#: What reports and docs compare, the offered filters first.
+#: The filters that reports and docs compare. The first and the third are those of the command line.
 COMPARED: dict[str, Smoothing] = {
     "one-euro, 2 Hz, beta 3 (--smooth)": OneEuro(),
     "one-euro, 1 Hz, beta 1": OneEuro(1.0, 1.0),
@@ -98,7 +113,19 @@ COMPARED: dict[str, Smoothing] = {
 
 @dataclass(frozen=True)
 class SmoothingCost:
-    """jitter: of a still face's coefficients, 0 to 1; lag: of half a step, ms; overshoot: of a step, as a share."""
+    """What a filter costs.
+
+    Attributes
+    ----------
+    name : str
+        Name of the filter.
+    jitter : float
+        Jitter of a still face's coefficients that is left (:func:`jitter`).
+    lag : float
+        Delay at half of a step, ms.
+    overshoot : float
+        Overshoot after a step, as a share of it.
+    """
 
     name: str
     jitter: float
@@ -107,7 +134,7 @@ class SmoothingCost:
 
 
 def smoothing_costs(still: np.ndarray, fps: float = 30.0) -> tuple[SmoothingCost, ...]:
-    """The cost of no filter and of every one of ``COMPARED``, on coefficients (F, A) of a still face."""
+    """The cost of no filter, and of every filter of ``COMPARED``, measured on coefficients (F, A) of a still face."""
     times = np.arange(len(still)) / fps
     rows = [SmoothingCost("none", jitter(still), 0.0, 0.0)]
     for name, smoothing in COMPARED.items():
@@ -124,7 +151,7 @@ def smoothing_costs(still: np.ndarray, fps: float = 30.0) -> tuple[SmoothingCost
 
 
 def _share(cutoff, dt: float):
-    """Exponential smoothing factor of a first-order low-pass with ``cutoff`` Hz."""
+    """The factor of exponential smoothing that makes a first-order low-pass filter with ``cutoff``, Hz."""
     return 1.0 / (1.0 + 1.0 / (2 * np.pi * cutoff * dt))
 
 
@@ -134,7 +161,20 @@ def jitter(values: np.ndarray) -> float:
 
 
 def step_response(smooth, fps: float = 30.0, seconds: float = 4.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (F,) s from the step on, the step (F,) from 0 to 1 in the middle, and ``smooth(values, times)`` of it (F,)."""
+    """Apply a filter to a step from 0 to 1.
+
+    Parameters
+    ----------
+    smooth : callable
+        ``smooth(values (F, 1), times (F,))`` returns the filtered values (F, 1).
+    fps, seconds : float
+        Rate and length of the signal, which steps in its middle.
+
+    Returns
+    -------
+    times, step, filtered : (F,)
+        Times relative to the step, s, and the signal before and after the filter.
+    """
     count = int(seconds * fps)
     times = np.arange(count) / fps
     step = (np.arange(count) >= count // 2).astype(float)
@@ -142,7 +182,7 @@ def step_response(smooth, fps: float = 30.0, seconds: float = 4.0) -> tuple[np.n
 
 
 def step_lag(smooth, height: float = 0.8, fps: float = 30.0) -> float:
-    """Milliseconds by which ``smooth(values (F, 1), timestamps (F,))`` passes half of a step later than the step."""
+    """How much later than the step a filter passes half of it, ms. The parameters are those of :func:`step_response`."""
     times, _, out = step_response(lambda values, t: smooth(height * values, t) / height, fps)
     after = int(np.argmax(out >= 0.5))
     if not after:

@@ -1,21 +1,35 @@
-"""The unit of length and the origin of heads from elsewhere."""
+"""Find the unit of length of heads from files that do not tell it, and check their size."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Usual heights of a head, with neck or bust, mm.
+#: Range of usual heights of a head, with neck or bust, mm.
 SMALLEST_HEAD, LARGEST_HEAD = 80.0, 600.0
-#: Millimetres per unit that files come in, and the largest extent of a head, with neck or bust, in mm.
+#: Millimetres per unit, and the unit's name.
 _UNITS = ((1.0, "millimetres"), (10.0, "centimetres"), (100.0, "decimetres"), (1000.0, "metres"))
+#: Range of the largest extent of a head, with neck or bust, mm.
 _SMALLEST, _LARGEST = 140.0, 1200.0
 
 
 def to_head_frame(neutral: np.ndarray, unit: float | None) -> tuple[np.ndarray, float, list[str]]:
-    """Vertices (V, 3) in mm, millimetres per unit of the file, and a note.
+    """Convert a head to millimetres. The axes do not change: x left-right, y up, z out of the face, as in ARKit and glTF.
 
-    ``unit``: millimetres per unit where the format says so (glTF: 1000); None: told from the size, the unit that makes
-    the largest extent that of a head. Axes stay: x left-right, y up, z out of the face, as in ARKit's and glTF's use.
+    Parameters
+    ----------
+    neutral : (V, 3)
+        In the file's unit.
+    unit : float or None
+        Millimetres per unit, if they are known. With None, it is the unit in which the head has the size of a head.
+
+    Returns
+    -------
+    vertices : (V, 3)
+        In mm.
+    scale : float
+        Millimetres per unit of the file.
+    notes : list of str
+        A line about the unit, if it was not known and is not the millimetre.
     """
     if unit is not None:
         return unit * neutral, unit, []
@@ -28,8 +42,8 @@ def to_head_frame(neutral: np.ndarray, unit: float | None) -> tuple[np.ndarray, 
 
 
 def size_note(path, height: float) -> list[str]:
-    """One line about a head that is not as high as heads are (``height`` in mm), else []."""
+    """A line about a head of unusual ``height``, mm. The list is empty for a usual one."""
     if SMALLEST_HEAD <= height <= LARGEST_HEAD:
         return []
     shown = f"{height / 1000:.3g} m" if height >= 1000 else f"{height:.3g} mm"
-    return [f"{path}: the head is {shown} high; if that is not meant, say the file's unit with --unit mm, cm or m"]
+    return [f"{path}: the head is {shown} high; if that is wrong, give the file's unit with --unit mm, cm or m"]
