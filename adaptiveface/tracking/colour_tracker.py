@@ -1,7 +1,8 @@
 """Track without depth: the 2D features alone drive pose, expression and deformation. The result is marked as degraded.
 
 If the frames bring the detector's landmarks, those of the actor's set replace the 40 features. Each is weighed by its measured
-reliability. Nose and jaw distinguish a mouth that opens from a head that tips back, which the 40 features cannot.
+reliability. Nose and jaw distinguish a mouth that opens from a head that tips back, which the 40 features cannot. Errors that
+many landmarks share do not turn the head (``shared_errors``).
 
 A colour camera cannot tell the size of the head and therefore its distance (those of the rig are used), motion along the
 viewing direction, and anything between the features. Nothing is learned, because a corrective needs depth.
@@ -23,6 +24,7 @@ from .base import Tracker, timed
 from .detection import pose_from_features
 from .expression import HeldPose
 from .feature_rows import reprojection_errors
+from .shared_errors import SharedErrors, errors_of
 from .stages import Stages
 from .tracker import FaceTracker
 from .types import STAGE_NAMES, TrackedFrame
@@ -40,8 +42,8 @@ TURN, SHIFT = 300.0, 0.005
 MIN_FEATURES = 6
 #: Rounds of the joint fit after the pose was found again, because the fit starts farther away.
 FIRST_ROUNDS = 3
-#: Weight of the landmarks relative to independent ones, because the errors of neighbours are similar.
-SHARE = 0.3
+#: Weight of the landmarks relative to independent ones, because errors of neighbours are similar beyond ``shared_errors``.
+SHARE = 0.6
 #: A landmark counts half if its error exceeds the common one by this many deviations.
 OUTLIER = 3.0
 #: Weight of a confidence of 1 at the reference focal length, 1/mm^2.
@@ -58,6 +60,8 @@ class ColourTracker(Tracker):
             triangles = np.concatenate([actor.feature_triangles, self.landmarks.triangles])
             weights = np.concatenate([actor.feature_weights, self.landmarks.weights])
             actor = replace(actor, feature_triangles=triangles, feature_weights=weights)
+            forty = len(given.feature_triangles)
+            self._errors = np.pad(errors_of(self.landmarks.ids), ((forty, 0), (0, 0), (0, 0))) * REFERENCE_FOCAL
         super().__init__(actor, parameters, stages)
         self.given = given
 
@@ -74,8 +78,9 @@ class ColourTracker(Tracker):
         with timed(ms, "blendshapes"):  # equations (1) and (2) without the depth term
             x = last.coefficients
             held = None if self.state.pose is None else HeldPose(self.state.pose, TURN, SHIFT)
+            shared = self._shared_errors()
             for _ in range(rounds):
-                pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None, held)
+                pose, x = self.blendshapes.fit(None, frame.features, frame.camera, pose, x, None, held, shared=shared)
             x = self._filtered(x)  # after the pose, because features alone move it too far for coefficients that lag
             v1 = self.blendshapes.shape(x)
         if not in_front(pose) or self._error(frame, pose, x) > 2.0 * self.parameters.rigid.max_reprojection_error:
@@ -112,6 +117,12 @@ class ColourTracker(Tracker):
                 trust = np.minimum(SHARE / CERTAIN * trust * _believed(pixels, points[forty:], trust, pose, frame.camera), 1.0)
         joined = Features2D(np.concatenate([features.pixels, pixels]), np.concatenate([own, trust]))
         return replace(frame, features=joined)
+
+    def _shared_errors(self) -> SharedErrors | None:
+        """What the detector's landmarks have in common; None for an actor without landmarks."""
+        if self.landmarks is None:
+            return None
+        return SharedErrors(self._errors, SHARE * self.parameters.blendshapes.w * REFERENCE_FOCAL**2 / CERTAIN)
 
     def _find_pose(self, frame: RgbdFrame) -> tuple[np.ndarray | None, int]:
         """The last pose if it still fits roughly, or one from the features (perspective-n-point), and the rounds to fit."""

@@ -23,6 +23,7 @@ from ..registration.surface import DepthSurface
 from .bounded import BoundedSolver, bounded_least_squares
 from .feature_rows import FeatureRows, camera_rows, turns
 from .resolve import SparseResolve
+from .shared_errors import SharedErrors
 
 
 @dataclass(frozen=True)
@@ -103,11 +104,15 @@ class HeldPose:
 
 
 class Seen(NamedTuple):
-    """What one frame gives to the fit: its depth with the normals of ``depth_vertices``, its features in the camera frame."""
+    """What one frame gives to the fit: its depth with the normals of ``depth_vertices``, its features in the camera frame.
+
+    ``shared`` holds errors that many of the features have in common.
+    """
 
     surface: DepthSurface | None
     features: FeatureRows
     normals: np.ndarray | None
+    shared: SharedErrors | None = None
 
 
 class BlendshapeFit:
@@ -177,6 +182,7 @@ class BlendshapeFit:
         normals: np.ndarray | None,
         held: HeldPose | None = None,
         settle: Callable[[np.ndarray], np.ndarray] | None = None,
+        shared: SharedErrors | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Alternate between the search for correspondences and the bounded solve.
 
@@ -198,6 +204,8 @@ class BlendshapeFit:
             Holds the pose near that of the last frame.
         settle : callable, optional
             What becomes of the coefficients in the end (the Kalman filter). The pose is solved for its result.
+        shared : SharedErrors, optional
+            Errors that many of the features have in common.
 
         Returns
         -------
@@ -206,7 +214,7 @@ class BlendshapeFit:
         x : (A,)
             The coefficients.
         """
-        previous, seen = x, Seen(surface, camera_rows(features, camera), normals)
+        previous, seen = x, Seen(surface, camera_rows(features, camera), normals, shared)
         for number in range(self.parameters.iterations, 0, -1):
             equations, centre = self._assemble(seen, pose, x, previous)
             if held is not None:
@@ -235,7 +243,13 @@ class BlendshapeFit:
             in_camera = rows.rows @ pose[:3, :3].T
             lever = transform_points(pose, points) - centre
             jacobian = np.concatenate([turns(lever, in_camera), in_camera, rows.rows @ basis], axis=2).reshape(-1, 6 + count)
-            self.add_rows(equations, jacobian, residual.ravel(), np.repeat(p.w * rows.weights, 2), current)
+            weights = np.repeat(p.w * rows.weights, 2)
+            if seen.shared is not None:
+                target = jacobian @ current - residual.ravel()
+                h, g = seen.shared.explained(rows.index, pose, jacobian, target, weights)
+                equations.h[...] -= np.triu(h)
+                equations.g[...] -= g
+            self.add_rows(equations, jacobian, residual.ravel(), weights, current)
         stiff = p.ridge * (1.0 if seen.surface is None else p.profile_stiffness ** turned_away(pose, centre))
         ridge = np.concatenate([np.full(6, 1e-6), np.full(count, stiff + p.temporal)])
         equations.h[...] += np.triu(equations.h, 1).T + np.diag(ridge)
