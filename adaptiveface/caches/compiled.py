@@ -1,7 +1,7 @@
-"""Functions that numba compiles, once per machine: the code is kept beside the module, else in our cache, else nowhere.
+"""Compile functions with numba once per machine. The code is stored beside the module, else in our cache, else nowhere.
 
-Numba itself ends with an error where neither the module's folder nor the home can be written, makes a folder named ``~``
-where there is no home, and cannot read a file that was cut off.
+Numba's own cache raises an error if neither the module's folder nor the home can be written, creates a folder named ``~`` if
+there is no home, and cannot read a file that was cut off.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ def compiled(*, nogil: bool = ..., inline: str = ...) -> Callable[[F], F]: ...
 
 
 def compiled(function: Callable | None = None, **options: Any) -> Any:
-    """As ``numba.njit(**options)``, with a cache wherever one can be written; with options it makes the decorator."""
+    """Decorate as ``numba.njit(**options)`` does, with a cache if one can be written. With options, return the decorator."""
     if function is None:
         return lambda decorated: compiled(decorated, **options)
     dispatcher = numba.njit(**options)(function)
     if hasattr(dispatcher, "enable_caching"):  # numba may be switched off
         try:
             dispatcher._cache = _Cache(function)
-        except RuntimeError:  # no place for it: compiled in every process
+        except RuntimeError:  # no folder can be written: the function is compiled in every process
             pass
     return dispatcher
 
@@ -63,7 +63,7 @@ class _OurCache(_Beside):
 
     @classmethod
     def from_function(cls, function, file: str):
-        """The locator, or None where nothing can be written."""
+        """The locator, or None if nothing can be written."""
         try:
             return super().from_function(function, file)
         except OSError:
@@ -76,17 +76,17 @@ def _folder() -> Path | None:
 
 
 class _Checked(caching.CompileResultCacheImpl):
-    """Compiled code with its checksum: damaged machine code would be run."""
+    """Stores compiled code with its checksum, because damaged machine code would be run."""
 
     _locator_classes = [_Named, _Beside, _OurCache]
 
     def reduce(self, data):
-        """What is stored: checksum and bytes."""
+        """The checksum and the bytes to store."""
         content = dumps(super().reduce(data))
         return hashlib.sha256(content).digest(), content
 
     def rebuild(self, target_context, stored):
-        """The compiled code of what was stored; raises ValueError for another checksum."""
+        """The compiled code from what was stored. Raises ValueError if the checksum is wrong."""
         checksum, content = stored
         if hashlib.sha256(content).digest() != checksum:
             raise ValueError("damaged")
@@ -94,21 +94,21 @@ class _Checked(caching.CompileResultCacheImpl):
 
 
 class _Cache(caching.FunctionCache):
-    """Throws damaged files away, and does without a cache that can no longer be written."""
+    """Removes damaged files, and works without a cache if it can no longer be written."""
 
     _impl_class = _Checked
 
     def load_overload(self, sig, target_context):
-        """The compiled code for a signature, or None where it must be compiled."""
+        """The compiled code for a signature, or None if it must be compiled."""
         try:
             return super().load_overload(sig, target_context)
-        except Exception:  # whatever unpickling a damaged file raises
+        except Exception:  # unpickling a damaged file raises anything
             _say_damaged(self.cache_path)
             self._drop()
             return None
 
     def save_overload(self, sig, data) -> None:
-        """Store compiled code; a full or read-only disk only means that it is compiled again next time."""
+        """Store compiled code. If the disk is full or read-only, the function is only compiled again next time."""
         try:
             super().save_overload(sig, data)
         except OSError:

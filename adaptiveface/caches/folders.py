@@ -1,4 +1,4 @@
-"""The one decision where things are cached: the user's cache, else a private temporary folder, else nowhere."""
+"""Decide where files are cached: in the user's cache, else in a private temporary folder, else nowhere."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ NAME = "adaptiveface"
 
 
 def cache_folders() -> list[Path]:
-    """Folders that may hold cached files, the preferred one first; none is made.
+    """Folders that may hold cached files, the preferred one first. None of them is created.
 
-    The user's cache is left out where nobody knows a home: it would be a folder named ``~`` in the current one. The
-    temporary folder carries the user's number, because others can write beside it.
+    The user's cache is left out if the home is unknown, because it would be a folder named ``~`` in the current one. The
+    temporary folder has the user's number in its name, because others can write beside it.
     """
     try:
         user = user_cache_path(NAME)
@@ -31,12 +31,12 @@ def cache_folders() -> list[Path]:
 
 
 def cache_folder() -> Path | None:
-    """The first of :func:`cache_folders` that can be written, made where it is missing; None where there is none."""
+    """The first of :func:`cache_folders` that can be written, or None. It is created if it is missing."""
     return next((folder for folder in cache_folders() if writable(folder)), None)
 
 
 def writable(folder: Path) -> bool:
-    """Whether files can be made in ``folder``, which is made where it is missing (for this user alone)."""
+    """Whether files can be created in ``folder``. If it is missing, it is created for this user alone."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if not _ours(folder):
@@ -48,7 +48,10 @@ def writable(folder: Path) -> bool:
 
 
 def _ours(folder: Path) -> bool:
-    """Whether nobody else can have put anything there: cached code is run. Others may write beside a temporary folder."""
+    """Whether nobody else can have written into the folder, because cached code is run.
+
+    Others may write into the folder of temporary files.
+    """
     if not hasattr(os, "getuid") or folder.parent != Path(tempfile.gettempdir()):
         return True
     status = os.lstat(folder)

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..formats import UNITS
 from ..retargeting import BUILT_IN, DRIVERS
 
-#: format -> what the output's name ends in ("": a folder).
+#: Suffix of the output by format. "" stands for a folder.
 FORMATS = {
     "glb": ".glb",
     "arkit-csv": ".csv",

@@ -18,7 +18,7 @@ __all__ = ["HEADER", "eye_angles", "head_angles", "read_arkit_csv", "take_perfor
 
 
 def head_angles(rigid: np.ndarray) -> np.ndarray:
-    """(F, 3) yaw, pitch and roll, radians, of poses (F, 4, 4) head to camera; zero if the head faces the camera.
+    """(F, 3) yaw, pitch and roll of poses (F, 4, 4) from head to camera, radians. They are zero if the head faces the camera.
 
     Yaw is positive to the subject's right, pitch downwards, roll towards the subject's left shoulder.
     """

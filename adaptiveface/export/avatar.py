@@ -60,10 +60,26 @@ class Avatar:
         )
 
     def write(self, out: Path, performance: Performance) -> list[str]:
-        """Write the file with the performance added, whole or not at all. Returns notes about what does not move, and why.
+        """Write the file with the performance added, whole or not at all.
 
-        ``out`` ends in .glb, .gltf or, for a VRM file, .vrm. Raises :class:`ParameterError` for other names and for the
-        avatar's own file, :class:`AdaptiveFaceError` where it cannot be written.
+        Parameters
+        ----------
+        out : Path
+            The file to write. Its suffix is .glb, .gltf or, for a VRM file, .vrm.
+        performance : Performance
+            What the avatar performs.
+
+        Returns
+        -------
+        list of str
+            Notes about what does not move, and why.
+
+        Raises
+        ------
+        ParameterError
+            The name has another suffix.
+        AdaptiveFaceError
+            The name is the avatar's own file, or the file cannot be written.
         """
         self._check(Path(out))
         with self.file.errors():

@@ -18,7 +18,7 @@ BLOCK = 128
 #: Components that are taken away together while the fewest are sought.
 _STEP = 16
 
-#: Meshes (f, V, 3) mm of the frames whose numbers (f,) are asked for.
+#: A function that returns the meshes (f, V, 3), mm, of given frame numbers (f,).
 Meshes = Callable[[np.ndarray], np.ndarray]
 
 
@@ -29,9 +29,23 @@ def frame_blocks(count: int, size: int = BLOCK) -> Iterator[np.ndarray]:
 
 
 def principal_targets(meshes: Meshes, count: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Targets (K, V, 3) and weights (count, K), at most 1, that place every vertex within ``tolerance`` mm.
+    """Decompose displacements into few morph targets.
 
-    ``meshes`` gives the displacements of any of the ``count`` frames.
+    Parameters
+    ----------
+    meshes : callable
+        Returns the displacements of given frames.
+    count : int
+        Number of frames.
+    tolerance : float
+        Largest distance of a vertex from its place, mm.
+
+    Returns
+    -------
+    targets : (K, V, 3)
+        In mm.
+    weights : (count, K)
+        Of the targets in every frame. None exceeds 1 in magnitude.
     """
     chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLE)).round().astype(int))
     sample = meshes(chosen)
@@ -52,7 +66,7 @@ def principal_targets(meshes: Meshes, count: int, tolerance: float) -> tuple[np.
 
 
 def _extended(basis: np.ndarray, meshes: Meshes, count: int, tolerance: float) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The basis (K, 3V), extended by what single frames still need, and the weights, a block for each state of the basis.
+    """The basis (K, 3V), extended by what single frames still need, and the weights, one block per state of the basis.
 
     Single precision is exact to 1e-5 mm here, and takes half the time.
     """

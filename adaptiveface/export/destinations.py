@@ -1,4 +1,4 @@
-"""The destinations of a stream, from the options that ``stream`` and ``live`` share."""
+"""Find the destinations of a stream from the options that ``stream`` and ``live`` share."""
 
 from __future__ import annotations
 
@@ -11,10 +11,21 @@ _KINDS = (("VMC", "vmc", VMC_PORT), ("OSC", "osc", OSC_PORT), ("Live Link Face",
 
 
 def addresses(args: argparse.Namespace, default_vmc: bool = False) -> dict[str, Address]:
-    """Keyword ("vmc", "osc", "livelink") -> address, of those that were asked for; raises :class:`ParameterError`.
+    """The addresses that the options name, by "vmc", "osc" and "livelink".
 
-    ``default_vmc``: VMC to this machine where nothing was asked for. Raises :class:`MissingExtraError` without python-osc
-    where it is needed.
+    Parameters
+    ----------
+    args : argparse.Namespace
+        The options.
+    default_vmc : bool
+        Whether to send VMC to this machine if no option names a destination.
+
+    Raises
+    ------
+    ParameterError
+        An address is malformed.
+    MissingExtraError
+        python-osc is needed, and not installed.
     """
     found = {
         name: Address.parse(getattr(args, name), port) for _, name, port in _KINDS if getattr(args, name, None) is not None
@@ -40,6 +51,6 @@ def said(found: dict[str, Address]) -> list[str]:
 
 
 def destinations(args: argparse.Namespace) -> tuple[Sender | None, list[str]]:
-    """The sender that the options ask for, or None, and what to say about it."""
+    """The sender that the options ask for, or None, and one line about each destination."""
     found = addresses(args)
     return (Sender(**found, avatar=avatar(args)) if found else None), said(found)

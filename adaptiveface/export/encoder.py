@@ -16,12 +16,12 @@ import numpy as np
 from ..errors import AdaptiveFaceError
 from ..runtime.interrupt import CtrlC
 
-#: Longest that ffmpeg may take to finish a film once it has all pictures, s.
+#: Longest time that ffmpeg may take to finish a film after the last picture, s.
 FINISH_SECONDS = 600.0
 
 
 def ffmpeg_program() -> str | None:
-    """The ffmpeg that ``imageio-ffmpeg`` (extra ``video``) brings or finds; None without it."""
+    """Path of the ffmpeg that ``imageio-ffmpeg`` (the extra ``video``) provides. None if it is not installed."""
     try:
         import imageio_ffmpeg
 
@@ -31,10 +31,27 @@ def ffmpeg_program() -> str | None:
 
 
 def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float) -> None:
-    """Write RGB ``frames`` (height, width, 3) uint8 of ``size`` (width, height) as H.264.
+    """Write pictures as H.264. If this fails or is interrupted by Ctrl-C, ffmpeg is ended before it finishes the film.
 
-    Raises :class:`AdaptiveFaceError` with ffmpeg's own reason, OSError where the disk is full. On Ctrl-C and any other
-    failure, ffmpeg is ended before it finishes the film.
+    Parameters
+    ----------
+    program : str
+        Path of ffmpeg.
+    path : Path
+        The file to write.
+    frames : iterable of (height, width, 3) uint8
+        RGB.
+    size : (int, int)
+        Width and height, px.
+    fps : float
+        Frames per second.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        ffmpeg fails. The message has its own reason.
+    OSError
+        The disk is full.
     """
     read = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {fps:.9g} -i -"
     write = "-an -c:v libx264 -pix_fmt yuv420p -preset veryfast -crf 20 -movflags +faststart"
@@ -44,7 +61,7 @@ def encode_h264(program: str, path: Path, frames: Iterable[np.ndarray], size: tu
     if sys.platform == "win32":
         apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
     with tempfile.TemporaryFile() as said:
-        with CtrlC() as ctrl_c:  # between its start and its name here nobody could end it
+        with CtrlC() as ctrl_c:  # otherwise, an interrupt here would leave it running
             child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **apart)
         try:
             ctrl_c.check()
@@ -70,5 +87,5 @@ def _feed(pipe: IO[bytes], frames: Iterable[np.ndarray]) -> None:
         for frame in frames:
             pipe.write(np.ascontiguousarray(frame).data)
         pipe.close()
-    except BrokenPipeError:  # ffmpeg has ended, and what it said is why
+    except BrokenPipeError:  # ffmpeg has ended, and its messages tell the reason
         pass

@@ -21,7 +21,7 @@ _QUANTIZED = "KHR_mesh_quantization"
 
 
 class _Packing:
-    """How coordinates are stored: float32 metres, or, ``compact``, 16 bits of ``scale`` metres and 8 bits of normals."""
+    """How numbers are stored: as float32 metres or, if ``compact``, as 16-bit shares of ``scale`` metres, and 8-bit normals."""
 
     def __init__(self, mesh: AnimatedMesh, compact: bool) -> None:
         self.compact = compact
@@ -29,16 +29,16 @@ class _Packing:
         self.scale = METRES * float(largest) if compact else 1.0
 
     def lengths(self, millimetres: np.ndarray) -> np.ndarray:
-        """(V, 3) as stored."""
+        """Lengths (V, 3) as they are stored."""
         metres = METRES * millimetres
         return np.rint(metres * (32767 / self.scale)).astype(np.int16) if self.compact else metres.astype(np.float32)
 
     def normals(self, values: np.ndarray) -> np.ndarray:
-        """(V, 3) unit vectors or differences of them as stored."""
+        """Unit vectors (V, 3), or differences of them, as they are stored."""
         return np.rint(127 * values.clip(-1, 1)).astype(np.int8) if self.compact else values
 
     def weights(self, values: np.ndarray) -> np.ndarray:
-        """(F, E) in [0, 1] as stored; others stay float32."""
+        """Weights (F, E) as they are stored. Those outside [0, 1] stay float32."""
         inside = self.compact and values.min(initial=0.0) >= 0 and values.max(initial=0.0) <= 1 + 1e-6
         return np.rint(65535 * values.clip(0, 1)).astype(np.uint16) if inside else values.astype(np.float32)
 
@@ -46,12 +46,19 @@ class _Packing:
 def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False) -> None:
     """Write an animated mesh as ``.glb``, whole or not at all.
 
-    ``compact``: 16-bit coordinates and weights, 8-bit normals (``KHR_mesh_quantization``), under half the size. A step is
-    the head's half extent / 32767, 6 micrometres; sums over many shapes come out within 0.05 mm.
+    The node "performance" carries the node "head", which the head's pose animates. At rest, it has the pose of the first
+    frame, so that viewers show the face in the middle. "performance" moves the median position of the head to the origin. The
+    names of the targets are in ``mesh.extras.targetNames``. The inside parts are the node "insides" beside "head".
 
-    Node "performance" carries node "head", which is animated by the head's pose and rests in that of the first frame, so
-    that viewers frame the face; "performance" is placed so that the median position of the head is the origin. Target
-    names are in ``mesh.extras.targetNames``. Inside parts are the node "insides" beside "head".
+    Parameters
+    ----------
+    path : path-like
+        The file to write.
+    mesh : AnimatedMesh
+        What to write.
+    compact : bool
+        Whether to use 16-bit coordinates and weights, and 8-bit normals (``KHR_mesh_quantization``), for less than half the
+        size. A step is half of the head's extent / 32767, or 6 micrometres. Sums over many shapes are exact to 0.05 mm.
     """
     builder, packing = GltfBuilder(), _Packing(mesh, compact)
     document: dict[str, Any] = {
@@ -84,10 +91,10 @@ def write_glb(path: str | os.PathLike, mesh: AnimatedMesh, compact: bool = False
 
 
 def _add_inside(document: dict, builder: GltfBuilder, inside: AnimatedMesh, packing: _Packing) -> None:
-    """A second mesh that moves as the head does.
+    """Add a second mesh that moves with the head.
 
     It is not a child of the head, because three.js applies a node's weights to all nodes below it. Its channels come first,
-    because earlier readers took the last ones for those of the head.
+    because earlier readers use the last ones for the head.
     """
     nodes, animation = document["nodes"], document["animations"][0]
     nodes[0]["children"].append(2)

@@ -68,7 +68,7 @@ class FaceState:
 
     @property
     def eye_angles(self) -> np.ndarray:
-        """(6,) angles of the eyes, radians, as measured; computed from the curves where nothing was measured."""
+        """(6,) angles of the eyes, radians: the measured ones or, without a measurement, those of the curves."""
         return eye_angles(self.curves[None])[0] if self.eyes is None else self.eyes
 
     @property

@@ -1,8 +1,9 @@
 """Write point caches: all vertices of all frames in a binary file, beside an OBJ file with the rest mesh.
 
-``.pc2`` (3ds Max, Blender, Houdini; Maya converts it): "POINTCACHE2", little-endian, version 1, points, first frame,
-frames per sample, samples, then float32 x y z. ``.mdd`` (LightWave, Blender, Cinema 4D): big-endian, frames, points, one
-time in seconds for every frame, then float32 x y z. Coordinates are those of the OBJ file, samples lie one frame apart.
+``.pc2`` (3ds Max, Blender, Houdini; Maya converts it) is little-endian: "POINTCACHE2", version 1, number of points, first
+frame, frames per sample, number of samples, then float32 x y z. ``.mdd`` (LightWave, Blender, Cinema 4D) is big-endian: number
+of frames, number of points, the time of every frame in seconds, then float32 x y z. Both have the coordinates of the OBJ file,
+and one sample per frame.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ _MAGIC = b"POINTCACHE2\0"
 
 
 def samples(mesh: AnimatedMesh) -> Iterator[np.ndarray]:
-    """(V, 3) mm at every whole frame, interpolated linearly; inside parts last, the head's median position at the origin."""
+    """Yield the vertices (V, 3) at every whole frame, mm, interpolated linearly.
+
+    The inside parts come last. The head's median position is at the origin.
+    """
     codes = mesh.codes
     for code in range(count_samples(mesh)):
         after = int(np.searchsorted(codes, code - 1e-9))
@@ -37,7 +41,7 @@ def samples(mesh: AnimatedMesh) -> Iterator[np.ndarray]:
 
 
 def count_samples(mesh: AnimatedMesh) -> int:
-    """Whole frames from the first to the last."""
+    """Number of whole frames from the first to the last."""
     return int(np.floor(mesh.codes[-1] + 1e-9)) + 1
 
 
@@ -46,7 +50,7 @@ def _points(mesh: AnimatedMesh) -> int:
 
 
 def cache_bytes(mesh: AnimatedMesh) -> int:
-    """About how many bytes :func:`write_point_cache` writes into the cache."""
+    """Approximate size of the cache that :func:`write_point_cache` writes, bytes."""
     return 12 * count_samples(mesh) * _points(mesh)
 
 
@@ -58,9 +62,18 @@ def rest_mesh(path: str | os.PathLike) -> Path:
 def write_point_cache(
     path: str | os.PathLike, mesh: AnimatedMesh, unit: str = "m", progress: Callable[..., Iterable] = lambda it, **_: it
 ) -> None:
-    """Write ``.mdd`` or ``.pc2`` and :func:`rest_mesh` beside it, each whole or not at all.
+    """Write a cache and :func:`rest_mesh` beside it, each whole or not at all.
 
-    ``unit`` is "m", "cm" or "mm". ``progress`` wraps the frames, as ``tqdm`` does.
+    Parameters
+    ----------
+    path : path-like
+        The file, whose suffix is ``.mdd`` or ``.pc2``.
+    mesh : AnimatedMesh
+        What to write.
+    unit : str
+        "m", "cm" or "mm".
+    progress : callable
+        Wraps the iteration over frames, as ``tqdm`` does.
     """
     path, count, points = Path(path), count_samples(mesh), _points(mesh)
     big = path.suffix.lower() == ".mdd"

@@ -35,7 +35,10 @@ class Address:
 
     @classmethod
     def parse(cls, text: str, default_port: int) -> Address:
-        """``HOST:PORT``, ``HOST``, ``PORT`` or nothing; the loopback address unless a host is named."""
+        """Read ``HOST:PORT``, ``HOST``, ``PORT`` or an empty text. Without a host, it is the loopback address.
+
+        Raises :class:`ParameterError` for anything else.
+        """
         text = text.strip()
         host, colon, port = text.rpartition(":") if not text.startswith("[") else _bracketed(text)
         if not colon:
@@ -102,7 +105,7 @@ class Streamer:
         self._sender.send(state)
 
     def _looking(self, curves: np.ndarray, frame: TrackedFrame, source: RgbdFrame | None):
-        """Curves (52,) whose gaze follows the irises, and angles of the eyes (6,), or None before any iris was seen."""
+        """Curves (52,) whose gaze follows the irises, and the angles (6,) of the eyes, or None before any iris was seen."""
         gaze = self._gaze.see(frame, source)
         if not self._gaze.begun:
             return curves, None
@@ -164,7 +167,7 @@ class _Datagrams:
 
 
 def check_streaming() -> None:
-    """Raise :class:`MissingExtraError` where python-osc is not installed."""
+    """Raise :class:`MissingExtraError` if python-osc is not installed."""
     try:
         import pythonosc  # noqa: F401
     except ImportError:

@@ -25,10 +25,10 @@ _OF_RESULTS = {"coefficients": None, "correctives": False, "actor": None, "sourc
 
 
 def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | None) -> int:
-    """Write ``args.format`` to ``out``; returns the exit status. Raises :class:`AdaptiveFaceError`."""
+    """Write a take in ``args.format`` to ``out``. Returns the exit status. Raises :class:`AdaptiveFaceError`."""
     given = [f"--{name}" for name, default in _OF_RESULTS.items() if getattr(args, name) != default]
     if given:
-        raise ParameterError(f"{args.result}: is a take of curves; {', '.join(given)} needs a tracked result.npz")
+        raise ParameterError(f"{args.result}: it is a take of curves; {', '.join(given)} needs a tracked result.npz")
     take = read_take(args.result)
     performance = take_performance(take).smoothed(smoothing)
     _say(take)
@@ -55,14 +55,14 @@ def run_take_export(args: argparse.Namespace, out: Path, smoothing: Smoothing | 
 
 
 def stream_take(args: argparse.Namespace) -> int:
-    """``adaptiveface stream take.csv``: send a take's curves at their own speed; returns the exit status."""
+    """``adaptiveface stream take.csv``: send a take's curves at the speed of the take. Returns the exit status."""
     from .destinations import addresses, avatar, said
     from .messages import FaceState
     from .stream import Pace, Sender
 
     for name in ("actor", "mirrored"):
         if getattr(args, name):
-            raise ParameterError(f"{args.source}: is a take of curves; --{name} needs a recording")
+            raise ParameterError(f"{args.source}: it is a take of curves; --{name} needs a recording")
     take = read_take(args.source)
     performance = take_performance(take).smoothed(FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None)
     found = addresses(args, default_vmc=True)
@@ -97,7 +97,7 @@ def take_coverage(take: LiveLinkTake, character: Character) -> list[str]:
 
 
 def write_character_video(path: Path, mesh: AnimatedMesh, performance: Performance, turntable: bool = False) -> None:
-    """The character alone, as ``.mp4`` or ``.gif``."""
+    """Film the character alone, as ``.mp4`` or ``.gif``."""
     from .video import character_panel, turntable_panel, write_film
 
     panel = turntable_panel(mesh) if turntable else character_panel(mesh)

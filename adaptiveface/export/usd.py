@@ -38,12 +38,12 @@ def _pxr():
 
 
 def prim_name(name: str) -> str:
-    """``name`` in a form that USD allows: letters, digits and underscores, not starting with a digit."""
+    """``name`` as a name that USD allows: letters, digits and underscores, without a digit at the start."""
     return re.sub(r"^(?=\d)|\W", "_", name, flags=re.ASCII) or "_"
 
 
 def prim_names(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:
-    """:func:`prim_name` of every name; those that would collide, with each other or ``taken``, get a number."""
+    """:func:`prim_name` of every name. Names that would collide with each other or with ``taken`` get a number."""
     out: list[str] = []
     for name in map(prim_name, names):
         numbered = (f"{name}_{k}" for k in itertools.count(2))
@@ -52,10 +52,18 @@ def prim_names(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:
 
 
 def write_usd(path: str | os.PathLike, mesh: AnimatedMesh) -> None:
-    """Write ``.usd``, ``.usda``, ``.usdc`` or a ``.usdz`` package, whole or not at all.
+    """Write an animated mesh as ``.usd``, ``.usda``, ``.usdc`` or as a ``.usdz`` package, whole or not at all.
 
-    Metres, y up; the head's motion drives the one joint of a skeleton, and the median place of the head is the origin.
-    The shapes have their normals, the surface is a UsdPreviewSurface with the mesh's colours. Time codes are frames.
+    Lengths are metres, and y points up. The head's motion drives the only joint of a skeleton, and the median position of the
+    head is the origin. The shapes have normals. The surface is a UsdPreviewSurface with the mesh's colours. Time codes are
+    frames.
+
+    Raises
+    ------
+    MissingExtraError
+        usd-core is not installed.
+    AdaptiveFaceError
+        The file cannot be written.
     """
     stage = _stage(_pxr(), mesh)
     with replacing(path) as temporary:
@@ -171,7 +179,7 @@ def _write_mesh(pxr, stage, mesh: AnimatedMesh, names: list[str], taken: tuple[s
 
 
 def _write_material(pxr, stage, mesh: AnimatedMesh, body, name: str) -> None:
-    """A surface that takes its colour from the vertices, which ``displayColor`` holds, or one colour for all."""
+    """Define a surface with the colours of the vertices, which ``displayColor`` holds, or with one colour."""
     UsdGeom, UsdShade, Sdf, Gf, Vt = pxr.UsdGeom, pxr.UsdShade, pxr.Sdf, pxr.Gf, pxr.Vt
     path = f"/performance/materials/{name}"
     material = UsdShade.Material.Define(stage, path)

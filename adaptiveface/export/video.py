@@ -90,7 +90,7 @@ def tracked_panel(result: Result, insides: Insides | None = None) -> Panel:
 
 
 def input_panel(source, result: Result) -> Panel:
-    """The colour picture of the source (its depth where there is no colour), cropped to the face."""
+    """The colour picture of the source, or its depth if it has no colour, cropped to the face."""
     camera = source.camera
     middle, spread = _framing(result)
     u, v = camera.project(middle)
@@ -99,7 +99,7 @@ def input_panel(source, result: Result) -> Panel:
     read_colour = Abilities.of(source).read_colour  # the depth would not be shown
 
     def draw(frame: int) -> np.ndarray:
-        """The cropped picture; black where the source has none."""
+        """The cropped picture, which is black if the source has none."""
         try:
             image = read_colour(frame)
             if image is None:
@@ -113,7 +113,7 @@ def input_panel(source, result: Result) -> Panel:
 
 
 def _nearness(depth: np.ndarray, farthest: float, extent: float) -> np.ndarray:
-    """(H, W, 3) uint8: grey that is the brighter the nearer ``depth`` (H, W) is; black without a measurement."""
+    """A grey picture (H, W, 3) uint8 that is brighter where ``depth`` (H, W) is nearer, and black without a measurement."""
     near = np.clip((farthest - depth) / extent, 0, 1) * (depth > 0)
     return np.repeat((255 * near)[:, :, None].astype(np.uint8), 3, axis=2)
 
@@ -127,7 +127,7 @@ def _framing(result: Result) -> tuple[np.ndarray, float]:
 
 
 def side_by_side(panels: Sequence[Panel], labels: Sequence[str], frames: Iterable[int]) -> Generator[np.ndarray]:
-    """Pictures (PANEL, n PANEL, 3) uint8 RGB with a label on every panel, for frame numbers.
+    """Yield pictures (PANEL, n PANEL, 3) uint8 RGB of given frame numbers, with a label on every panel.
 
     A separate thread draws each panel, in order and a few frames ahead. A frame that is repeated is drawn once.
     """
@@ -162,10 +162,21 @@ def _joined(drawn: list, times: int) -> Iterator[np.ndarray]:
 
 
 def write_film(path: str | Path, panels: Sequence[Panel], labels: Sequence[str], timestamps: np.ndarray, step: int = 1) -> None:
-    """Film every ``step``-th frame of a take, with the panels side by side. ``times`` (F,) increase, s.
+    """Film every ``step``-th frame of a take, with the panels side by side.
 
-    The film is as long as the take. Where that has gaps, ``.mp4`` repeats frames, and ``.gif`` shows them longer. Raises what
+    The film is as long as the take. In gaps of the take, ``.mp4`` repeats frames, and ``.gif`` shows them longer. Raises what
     :func:`write_video` raises.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.mp4`` or ``.gif`` file.
+    panels, labels : sequence
+        The panels and the text on each.
+    timestamps : (F,)
+        Increasing times of the frames, s.
+    step : int
+        Only every ``step``-th frame is shown.
     """
     times = np.asarray(timestamps, float)[::step]
     if Path(path).suffix.lower() == ".gif":
@@ -185,11 +196,25 @@ def _counted(frames: Generator[np.ndarray], bar: tqdm) -> Iterator[np.ndarray]:
 
 
 def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, delays: Delays | None = None) -> None:
-    """Write RGB frames of one even size as ``.mp4`` or ``.gif``, whole or not at all.
+    """Write a film, whole or not at all.
 
-    A ``.gif`` shows each frame for ``delays``, ms; without them, at most 15 of the ``fps`` frames per second are shown. MP4 is
-    H.264 if ``imageio-ffmpeg`` is installed (the extra ``video``), else a codec of OpenCV's. Raises :class:`AdaptiveFaceError`
-    if there is no frame or no encoder, if the encoder fails, or if the disk is full.
+    MP4 is H.264 if ``imageio-ffmpeg`` (the extra ``video``) is installed. Otherwise, it has one of OpenCV's codecs.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.mp4`` or ``.gif`` file.
+    frames : iterable of (H, W, 3) uint8
+        RGB pictures of the same even size.
+    fps : float
+        Frames per second.
+    delays : (F,), optional
+        How long a GIF shows each frame, ms. Without them, a GIF shows at most 15 of the ``fps`` frames per second.
+
+    Raises
+    ------
+    AdaptiveFaceError
+        There is no frame or no encoder, the encoder fails, or the disk is full.
     """
     path = Path(path)
     frames = iter(frames)

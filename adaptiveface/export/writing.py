@@ -1,4 +1,4 @@
-"""Write an export in the format that was asked for, from a tracked result or from a take of curves."""
+"""Write an export in the chosen format, from a tracked result or from a take of curves."""
 
 from __future__ import annotations
 
@@ -51,7 +51,21 @@ def write_avatar(
 
 
 def write_mesh(out: Path, mesh: AnimatedMesh, kind: str, unit: str = "m", compact: bool = False, meshopt: bool = False) -> None:
-    """Write one of the mesh formats. The size of large files is printed first. ``unit`` applies to OBJ files and caches."""
+    """Write one of the mesh formats. The size of large files is printed first.
+
+    Parameters
+    ----------
+    out : Path
+        The file or folder to write.
+    mesh : AnimatedMesh
+        What to write.
+    kind : str
+        A key of ``FORMATS``.
+    unit : str
+        Unit of length of OBJ files and point caches.
+    compact, meshopt : bool
+        Whether to store 16-bit coordinates in a .glb, and whether to compress it with gltfpack.
+    """
     if kind == "glb" and meshopt:
         from .meshopt import write_meshopt_glb
 

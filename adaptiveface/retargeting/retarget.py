@@ -1,4 +1,4 @@
-"""Retargeting: from a tracked result to curves that drive any character (paper, section 6 and figure 8)."""
+"""Turn a tracked result into curves that drive any character (paper, section 6 and figure 8)."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Performance:
 
     @property
     def eye_angles(self) -> np.ndarray:
-        """(F, 6) angles of the eyes, radians, as measured; computed from the curves where nothing was measured."""
+        """(F, 6) angles of the eyes, radians: the measured ones or, without a measurement, those of the curves."""
         return eye_angles(self.curves) if self.eyes is None else self.eyes
 
     def table(self) -> DataFrame:
@@ -119,7 +119,7 @@ def retarget(
 
 
 def _with_gaze(performance: Performance, result: Result) -> Performance:
-    """The performance with the gaze that was measured by the irises; unchanged where no iris was seen."""
+    """The performance with the gaze that was measured by the irises. It is unchanged if no iris was seen."""
     if result.gaze is None:
         return performance
     eyes = eyes_of_gaze(result.gaze)

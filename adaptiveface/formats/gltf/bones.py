@@ -7,7 +7,7 @@ import re
 from .container import GltfContainer, extensions
 from .nodes import Nodes
 
-#: Words in bone names that say which rig they come from, not which bone they are.
+#: Words in names of bones that tell the rig, not the bone.
 _RIG = set(
     """
     mixamorig j bip adj c cc base def org valve biped armature bone jnt joint jt b m mid center
@@ -23,14 +23,14 @@ _JOINED = {
     "leye": "left eye",
     "reye": "right eye",
 }
-#: MikuMikuDance's bones.
+#: Names of bones in MikuMikuDance.
 _JAPANESE = {"頭": {"head"}, "首": {"neck"}, "左目": {"left", "eye"}, "右目": {"right", "eye"}}
 _EYES = ({"eye"}, {"eyeball"}, {"face", "eye"})
 _VRM = {"head": "head", "neck": "neck", "leftEye": "left eye", "rightEye": "right eye"}
 
 
 def find_bones(file: GltfContainer, nodes: Nodes) -> dict[str, int]:
-    """Node numbers by "head", "neck", "left eye" and "right eye", of those that were found.
+    """Find the bones "head", "neck", "left eye" and "right eye", and return the node number of each one that was found.
 
     The neck and the eyes count only if they are connected with the head.
     """
@@ -70,7 +70,7 @@ def _named(nodes: Nodes, joints: list[int]) -> dict[str, int]:
         return {}
     necks = [number for number in nodes.ancestors(found["head"]) if words.get(number) in ({"neck"}, {"neck", "twist"})]
     if necks:
-        found["neck"] = necks[-1]  # of several the lowest, where a neck bends
+        found["neck"] = necks[-1]  # the lowest of several, at which a neck bends
     for number in nodes.below(found["head"]):
         for side in ("left", "right"):
             if words.get(number, set()) - {side} in _EYES and side in words[number]:
@@ -79,7 +79,7 @@ def _named(nodes: Nodes, joints: list[int]) -> dict[str, int]:
 
 
 def _words(name: str) -> set[str]:
-    """The words of a bone's name, sides spelt out, without those of its rig: "J_Bip_C_Head" -> {"head"}."""
+    """The words of a bone's name without those of its rig, with the side spelt out: {"head"} for "J_Bip_C_Head"."""
     if name in _JAPANESE:
         return _JAPANESE[name]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|[^A-Za-z]+", " ", name.rsplit(":", 1)[-1][:256]).lower()
@@ -88,7 +88,7 @@ def _words(name: str) -> set[str]:
 
 
 def find_eyes(nodes: Nodes, candidates: set[int]) -> dict[str, int]:
-    """ "left eye" and "right eye" among nodes that are no bones, by their names."""
+    """Find "left eye" and "right eye" by their names among nodes that are no bones."""
     found: dict[str, int] = {}
     for number in sorted(candidates):
         words = _words(nodes.name(number))

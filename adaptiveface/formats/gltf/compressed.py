@@ -1,6 +1,6 @@
-"""Compressed geometry in glTF: Google's Draco and meshoptimizer, decoded by their libraries (the extra ``avatars``).
+"""Decode compressed geometry in glTF with the libraries of Google's Draco and of meshoptimizer (the extra ``avatars``).
 
-Sizes that the file declares are compared with what the compressed data say of themselves, before they are decoded.
+Before data are decoded, the sizes that the file declares are compared with those in the headers of the compressed data.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from .container import MAX_FILE_BYTES, extensions
 from .layout import GltfLayout
 
 DRACO = "KHR_draco_mesh_compression"
-#: The second is the name under which Khronos took the first over.
+#: Khronos adopted the first extension under the second name.
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _PIP = "python -m pip install 'adaptiveface[avatars]'"
-#: Extensions that change nothing of what is read here; a mesh that needs another one stays closed.
+#: Extensions that change nothing of what is read here. Files that require another one are not opened.
 _HARMLESS = {
     "KHR_mesh_quantization",
     "KHR_texture_basisu",
@@ -39,18 +39,18 @@ def _library(name: str):
 
 
 class Compressed:
-    """What is compressed in a file."""
+    """The compressed parts of a file."""
 
     def __init__(self, file: GltfLayout) -> None:
         self._file = file
         self._views: dict[int, bytes] = {}
 
     def obstacle(self) -> str | None:
-        """Why the meshes of the file cannot be opened here, with the way out; None where they can."""
+        """Why the meshes of the file cannot be opened here, with the way out. None if they can be opened."""
         required = self._file.required()
         unknown = {n for n in required if n not in _HARMLESS and not n.startswith(_HARMLESS_STARTS)} - {DRACO, *MESHOPT}
         if unknown:
-            return f"needs the extension {', '.join(sorted(unknown))[:200]}; export it without (compression off)"
+            return f"needs the extension {', '.join(sorted(unknown))[:200]}; export it again without compression"
         if DRACO in required and _library("DracoPy") is None:
             return f"is compressed with {DRACO}: {_PIP}"
         if required & set(MESHOPT) and _library("meshopt") is None:
@@ -58,7 +58,7 @@ class Compressed:
         return None
 
     def check(self) -> None:
-        """Raise where the meshes cannot be opened: :class:`MissingExtraError`, or :class:`FileFormatError`."""
+        """Raise :class:`MissingExtraError` or :class:`FileFormatError` if the meshes cannot be opened."""
         reason = self.obstacle()
         if reason is not None:
             raise MissingExtraError(f"{self._file.path}: {reason}") if _PIP in reason else self._file.error(reason)
@@ -69,7 +69,7 @@ class Compressed:
 
     # ---- meshoptimizer ----
     def view(self, index: int) -> bytes | None:
-        """The decoded bytes of a buffer view; None where it is not compressed, or can be read without."""
+        """The decoded bytes of a buffer view. None if it is not compressed, or can also be read uncompressed."""
         view = self._file.item("bufferViews", index)
         entry = next((extensions(view)[name] for name in MESHOPT if name in extensions(view)), None)
         if entry is None or not self._file.required() & set(MESHOPT) and _library("meshopt") is None:
@@ -111,7 +111,7 @@ class Compressed:
 
     # ---- Draco ----
     def draco(self, primitive: dict) -> tuple[dict[str, np.ndarray], np.ndarray] | None:
-        """Attributes by name, (count, width) each, and indices of a Draco primitive; None where it is none."""
+        """The attributes (count, width) by name and the indices of a Draco primitive. None if it is not compressed."""
         file, entry, library = self._file, extensions(primitive).get(DRACO), _library("DracoPy")
         if entry is None or library is None and DRACO not in file.required():
             return None
@@ -128,7 +128,7 @@ class Compressed:
         file.spend(corners + sum(layout[2] * layout[3] for layout in wanted.values()))
         try:
             mesh = library.decode(data)
-        except Exception as problem:  # the library's own errors, whatever they are
+        except Exception as problem:  # the library's own errors, of any kind
             raise file.error(f"Draco data that cannot be decompressed ({str(problem)[:80]})") from None
         found = {a["unique_id"]: np.asarray(a["data"]) for a in mesh.attributes}
         attributes = {}
@@ -140,10 +140,10 @@ class Compressed:
         return attributes, np.asarray(getattr(mesh, "faces", np.zeros((0, 3)))).astype(np.uint32)
 
     def _judge(self, data: bytes, vertices: int, corners: int) -> None:
-        """Refuse Draco data whose header promises more than the accessors declare."""
+        """Raise :class:`FileFormatError` if the header of Draco data promises more than the accessors declare."""
         if data[:5] != b"DRACO" or len(data) < 20 or data[7] != 1 or data[10] & 0x80:
             raise self._file.error("Draco data without the header of a mesh, or with metadata, which are not read")
-        at = 11 + (data[8] == 1)  # method 1 (edge breaker) has a byte more
+        at = 11 + (data[8] == 1)  # method 1 (edge breaker) has one more byte
         if tuple(data[5:7]) < (2, 2):
             first, second = struct.unpack_from("<II", data, at)
         else:
@@ -155,7 +155,7 @@ class Compressed:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, the lowest first, and where the next one starts."""
+    """A number with seven bits in each byte, lowest first, and the position behind it."""
     number = shift = 0
     while True:
         number |= (data[at] & 0x7F) << shift

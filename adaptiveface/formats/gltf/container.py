@@ -1,7 +1,7 @@
-"""Read the container of glTF 2.0 (.gltf, .glb, .vrm): JSON, chunks and buffers, which need not be trusted.
+"""Read the container of glTF 2.0 files (.gltf, .glb, .vrm): JSON, chunks and buffers. The files need not be trusted.
 
-Every number is checked before memory is allocated. Buffers come from the file itself or from files beside it, never
-from outside its folder.
+Every number is checked before memory is allocated. Buffers come from the file itself or from files beside it, never from
+outside its folder.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from urllib.parse import unquote
 from ...errors import AdaptiveFaceError, FileFormatError
 from ...files import parse_json, read_bytes
 
-#: Of the file and all files beside it that it names.
+#: Largest size of the file together with all files beside it that it names.
 MAX_FILE_BYTES = 256 << 20
 MAX_JSON_BYTES = 64 << 20
 MAX_ITEMS = 100_000
@@ -31,7 +31,16 @@ Buffer = bytes | bytearray | memoryview
 class GltfContainer:
     """A parsed file. Every method raises :class:`FileFormatError` naming the file.
 
-    document: its JSON object; chunks: (kind, bytes) of a .glb's chunks after the JSON, [] for .gltf.
+    Attributes
+    ----------
+    path : Path
+        The file.
+    document : dict
+        Its JSON object.
+    chunks : list of (bytes, memoryview)
+        Kind and content of the chunks of a .glb after the JSON. A .gltf has none.
+    size : int
+        Size of the file, bytes.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,7 +61,7 @@ class GltfContainer:
 
     @contextmanager
     def errors(self):
-        """Whatever malformed JSON makes Python raise becomes one clear error."""
+        """A context that turns every exception that malformed JSON causes into one clear :class:`FileFormatError`."""
         try:
             yield
         except AdaptiveFaceError:
@@ -60,7 +69,7 @@ class GltfContainer:
         except RecursionError:
             raise self.error("its JSON is nested too deeply") from None
         except MemoryError:
-            raise self.error("needs more memory than there is") from None
+            raise self.error("it needs more memory than this machine has") from None
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration, struct.error) as problem:
             text = " ".join(str(problem)[:120].split()) or type(problem).__name__
             raise self.error(f"malformed glTF ({type(problem).__name__}: {text})") from None
@@ -75,14 +84,14 @@ class GltfContainer:
             raise self.error("truncated: not even a header")
         version, length = struct.unpack_from("<II", data, 4)
         if version != 2:
-            raise self.error(f"glTF version {version}; only 2 is read")
+            raise self.error(f"glTF version {version}; only version 2 is read")
         if length > len(data):
             raise self.error(f"truncated: {len(data)} of {length} bytes")
         at = 12
         while at + 8 <= length and len(self.chunks) < MAX_CHUNKS:
             size, kind = struct.unpack_from("<I4s", data, at)
             if size > length - at - 8:
-                raise self.error(f"a chunk declares {size} bytes, {length - at - 8} are there")
+                raise self.error(f"a chunk declares {size} bytes, but has {length - at - 8}")
             self.chunks.append((kind, data[at + 8 : at + 8 + size]))
             at += 8 + size
         if not self.chunks or self.chunks[0][0] != b"JSON":
@@ -99,7 +108,7 @@ class GltfContainer:
         return parse_json(bytes(data), str(self.path), parse_constant=no_number)
 
     def items(self, name: str) -> list[dict]:
-        """A top-level array of objects, [] where absent."""
+        """A top-level array of objects; [] if the file has none."""
         if name in self._lists:
             return self._lists[name]
         items = self.document.get(name) or []
@@ -118,7 +127,7 @@ class GltfContainer:
         return items[index]
 
     def whole(self, entry: dict, key: str, low: int, high: int, default: int | None = None) -> int:
-        """``entry[key]``, a whole number from ``low`` to ``high``."""
+        """``entry[key]``, which must be a whole number from ``low`` to ``high``; ``default`` if it is absent."""
         value = entry.get(key, default)
         if type(value) is float and value.is_integer():
             value = int(value)
@@ -127,17 +136,17 @@ class GltfContainer:
         return value
 
     def required(self) -> set[str]:
-        """Names of the extensions without which the file cannot be shown."""
+        """Names of the extensions that a reader of the file must support."""
         return {str(name) for name in self.document.get("extensionsRequired") or ()}
 
     # ---- buffers ----
     @property
     def binary(self) -> memoryview | None:
-        """The .glb's own buffer, None where there is none."""
+        """The buffer in a .glb file itself; None if it has none."""
         return next((body for kind, body in self.chunks if kind == b"BIN\0"), None)
 
     def buffer(self, index) -> memoryview:
-        """The bytes of a buffer, at least as many as it declares."""
+        """The bytes of a buffer. There are at least as many as it declares."""
         entry = self.item("buffers", index)
         if index not in self._buffers:
             size = self.whole(entry, "byteLength", 1, MAX_FILE_BYTES)
@@ -145,12 +154,12 @@ class GltfContainer:
             if data is None:
                 raise self.error(f"buffer {index} has neither data nor a URI")
             if len(data) < size:
-                raise self.error(f"buffer {index} declares {size} bytes, {len(data)} are there")
+                raise self.error(f"buffer {index} declares {size} bytes, but has {len(data)}")
             self._buffers[index] = memoryview(data)
         return self._buffers[index]
 
     def resource(self, uri) -> tuple[bytes, str]:
-        """The bytes behind a URI of the file, and their MIME type ("" where it is not said)."""
+        """The bytes to which a URI of the file refers, and their MIME type, or "" if it is unknown."""
         if not isinstance(uri, str):
             raise self.error("a buffer's URI is not text")
         if uri.startswith("data:"):
@@ -166,7 +175,7 @@ class GltfContainer:
         return content, ""
 
     def beside(self, uri: str) -> Path:
-        """The file that a relative URI names; an error where it leaves the file's folder."""
+        """The file that a relative URI names. It must not leave the file's folder."""
         name = unquote(uri)
         folder = self.path.resolve().parent
         strange = ":" in name or "\\" in name or "\0" in name or name.startswith("/")
@@ -177,19 +186,19 @@ class GltfContainer:
 
 
 def extras(entry: dict) -> dict:
-    """The ``extras`` of a glTF object; {} where they are absent, null or no object."""
+    """The ``extras`` of a glTF object; {} if they are absent or no object."""
     value = entry.get("extras")
     return value if isinstance(value, dict) else {}
 
 
 def extensions(entry: dict) -> dict:
-    """The ``extensions`` of a glTF object; {} where they are absent or null."""
+    """The ``extensions`` of a glTF object; {} if they are absent or no object."""
     value = entry.get("extensions")
     return value if isinstance(value, dict) else {}
 
 
 def looks_back(file: GltfContainer) -> bool:
-    """Whether the face looks along -z, as VRM 0.x demands."""
+    """Whether the face looks along -z, as VRM 0.x requires."""
     return "VRM" in extensions(file.document) and "VRMC_vrm" not in extensions(file.document)
 
 

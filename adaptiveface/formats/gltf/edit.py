@@ -22,9 +22,21 @@ _PICTURES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "i
 
 
 class GltfEdit:
-    """A copy of ``file`` that is about to be written to ``out``: ``.gltf`` as text, any other suffix as binary.
+    """A copy of a file, which can be added to and written.
 
-    document: the copy's JSON object, to be added to; notes: files beside the input that are not there.
+    Parameters
+    ----------
+    file : GltfContainer
+        The file to copy.
+    out : path-like
+        The file to write: as text if its suffix is ``.gltf``, otherwise as binary.
+
+    Attributes
+    ----------
+    document : dict
+        The JSON object of the copy. Callers may change it.
+    notes : list of str
+        Lines about pictures that the file names and that are missing.
     """
 
     def __init__(self, file: GltfContainer, out: Path) -> None:
@@ -43,7 +55,10 @@ class GltfEdit:
 
     # ---- what is added ----
     def accessor(self, array: np.ndarray, bounds: bool = False) -> int:
-        """Number of a new accessor with the float32 values of ``array``, (n,) or (n, width); equal ones are shared."""
+        """Add an accessor with the float32 values of ``array`` (n,) or (n, width), and return its number.
+
+        Equal arrays share an accessor. With ``bounds``, the entry has the smallest and the largest values.
+        """
         array = np.ascontiguousarray(array, np.float32)
         key = (array.shape, bounds, hashlib.sha256(array.data).digest())
         if key not in self._known:
@@ -67,7 +82,17 @@ class GltfEdit:
         return self._append("bufferViews", view)
 
     def add_animation(self, name: str, times: np.ndarray, tracks: list[tuple[int, str, np.ndarray]]) -> None:
-        """Add an animation: times (F,) s, and for each node and path its values (F, width)."""
+        """Add an animation.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+        times : (F,)
+            Times of the keys, s.
+        tracks : list of (int, str, (F, width))
+            Node, path ("rotation", "translation", "weights") and values.
+        """
         clock = self.accessor(times, bounds=True)
         samplers: list[dict] = []
         channels: list[dict] = []
@@ -88,13 +113,13 @@ class GltfEdit:
 
     # ---- buffers ----
     def _place(self) -> tuple[int, bytes | memoryview]:
-        """The buffer that new data is added to, and its present content."""
+        """The number of the buffer that receives new data, and its present content."""
         first = (self.file.items("buffers") or [{"byteLength": 0}])[0]
         if not self.document.get("buffers"):
             return self._append("buffers", {"byteLength": 0}), b""
         if "uri" not in first and self.file.binary is not None:
             return 0, self.file.binary
-        if "uri" in first and not self._text:  # what lies beside a .gltf becomes the binary chunk
+        if "uri" in first and not self._text:  # a buffer beside a .gltf becomes the binary chunk
             del self.document["buffers"][0]["uri"]
             return 0, self.file.buffer(0)
         return self._append("buffers", {"byteLength": 0}), b""
@@ -103,7 +128,7 @@ class GltfEdit:
         return len(self._before) + -len(self._before) % 4
 
     def _take_in(self, name: str) -> None:
-        """Copy the files beside the input into the output."""
+        """Copy files that lie beside the input into the output."""
         for entry in self.document.get(name) or ():
             uri = entry.get("uri")
             if not isinstance(uri, str) or uri.startswith("data:"):
@@ -113,7 +138,7 @@ class GltfEdit:
             except FileFormatError as problem:
                 if name == "buffers":
                     raise
-                self.notes.append(f"{problem} (a picture, left as it is)")
+                self.notes.append(f"{problem} (a picture, whose entry is left unchanged)")
                 continue
             kind = next((mime for magic, mime in _PICTURES.items() if data.startswith(magic)), _WHOLE)
             if name == "images" and not self._text and kind != _WHOLE:
@@ -124,7 +149,7 @@ class GltfEdit:
 
     # ---- the file ----
     def save(self) -> None:
-        """Write the file, whole or not at all; raises :class:`FileFormatError` beyond 4 GiB."""
+        """Write the file, whole or not at all. Raises :class:`FileFormatError` if it would exceed 4 GiB."""
         whole = [self._before, b"\0" * (-len(self._before) % 4), bytes(self._added)]
         entry = self.document["buffers"][self._buffer]
         entry["byteLength"] = max(sum(map(len, whole)), 1)

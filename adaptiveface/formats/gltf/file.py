@@ -22,7 +22,7 @@ class GltfFile(GltfLayout):
         self.compressed = Compressed(self)
 
     def _view(self, index, dtype: np.dtype, width: int, count: int, offset: int) -> np.ndarray:
-        """(count, width) of a buffer view; bounds are checked first."""
+        """Values (count, width) in a buffer view, whose bounds are checked first."""
         view = self.item("bufferViews", index)
         size = self.whole(view, "byteLength", 1, MAX_FILE_BYTES)
         element = width * dtype.itemsize
@@ -37,9 +37,19 @@ class GltfFile(GltfLayout):
         return np.ndarray((count, width), dtype, data, start + offset, (stride, dtype.itemsize))
 
     def accessor(self, index, count: int | None = None) -> np.ndarray:
-        """(count, width) float32 or integers of an accessor; normalised integers become floats.
+        """Read an accessor.
 
-        ``count``: what the accessor must hold, checked before memory is taken. Raises on NaN and infinity.
+        Parameters
+        ----------
+        index : int
+            Its number.
+        count : int, optional
+            How many elements it must hold. This is checked before memory is allocated.
+
+        Returns
+        -------
+        (count, width)
+            float32 or integers. Normalised integers become floats. All values are finite.
         """
         entry, dtype, width, declared = self.layout(index)
         if count is not None and declared != count:
@@ -70,7 +80,10 @@ class GltfFile(GltfLayout):
         values[at] = self._view(data["bufferView"], values.dtype, values.shape[1], count, offset)
 
     def triangles(self, primitive: dict, n_vertices: int, corners: np.ndarray | None = None) -> np.ndarray:
-        """(T, 3) int32 of a primitive of triangles, a strip or a fan; ``corners``: its indices where they are known."""
+        """Triangles (T, 3) int32 of a primitive of triangles, a strip or a fan.
+
+        ``corners`` are its indices, if they are known. Otherwise, they are read.
+        """
         if corners is None and "indices" in primitive:
             corners = self.accessor(primitive["indices"])
             if corners.shape[1] != 1 or corners.dtype.kind != "u":
@@ -87,7 +100,7 @@ class GltfFile(GltfLayout):
 
 
 def _strip(corners: np.ndarray) -> np.ndarray:
-    """Each corner after the second makes a triangle with the two before it; every other one is turned (glTF 3.7.2.1)."""
+    """Each corner after the second makes a triangle with the two before it. Every other one is reversed (glTF 2.0, 3.7.2.1)."""
     first = np.arange(max(len(corners) - 2, 0))
     order = np.column_stack([first, first + 1 + first % 2, first + 2 - first % 2])
     return _whole_triangles(corners[order])
@@ -99,6 +112,6 @@ def _fan(corners: np.ndarray) -> np.ndarray:
 
 
 def _whole_triangles(triangles: np.ndarray) -> np.ndarray:
-    """The triangles without the degenerate ones by which strips continue elsewhere."""
+    """The triangles without degenerate ones, by which strips continue at another place."""
     a, b, c = triangles.T
     return triangles[(a != b) & (b != c) & (c != a)].reshape(-1, 3)

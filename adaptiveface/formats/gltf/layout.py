@@ -9,10 +9,10 @@ import numpy as np
 from .container import GltfContainer
 
 MAX_VALUES = 100_000_000
-#: Values that are zero without any data in the file: this many, and so many more for every byte of it.
+#: How many values may be zero without any data in the file: a fixed number, and some for every byte of the file.
 FREE_ZEROS, ZEROS_PER_BYTE = 10_000_000, 64
 _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-#: Number of a component type in files, and the type.
+#: Component types by their numbers in files.
 COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 
 
@@ -24,7 +24,7 @@ class GltfLayout(GltfContainer):
         self._read_values = self._zeros = 0
 
     def layout(self, index) -> tuple[dict, np.dtype, int, int]:
-        """The accessor's entry, its component type, its width (3 for VEC3) and its number of elements."""
+        """The entry of an accessor, its component type, its width (3 for VEC3), and its number of elements."""
         entry = self.item("accessors", index)
         if entry.get("componentType") not in COMPONENTS or entry.get("type") not in _TYPES:
             raise self.error(f"accessor {index} has an unknown component type or type")
@@ -32,7 +32,7 @@ class GltfLayout(GltfContainer):
         return entry, np.dtype(COMPONENTS[entry["componentType"]]), _TYPES[entry["type"]], count
 
     def floats(self, index, entry: dict, values: np.ndarray) -> np.ndarray:
-        """The values as the accessor's entry means them: finite, normalised integers as floats."""
+        """The values of an accessor, which must be finite. Normalised integers are converted to floats."""
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise self.error(f"accessor {index} holds NaN or infinite values")
         if entry.get("normalized") and values.dtype.kind in "iu":
@@ -40,7 +40,10 @@ class GltfLayout(GltfContainer):
         return values
 
     def spend(self, values: int, zeros: bool = False) -> None:
-        """Account for values about to be allocated; ``zeros``: the file holds no data for them. Raises when too many."""
+        """Count values that are about to be allocated, and raise :class:`FileFormatError` if there are too many.
+
+        ``zeros`` tells that the file holds no data for them.
+        """
         self._read_values += values
         self._zeros += values if zeros else 0
         if self._read_values > MAX_VALUES:

@@ -1,4 +1,4 @@
-"""The nodes of a glTF file: which of them the default scene shows, where they are at rest, and its skins."""
+"""Read the nodes of a glTF file: which of them the default scene shows, where they are at rest, and its skins."""
 
 from __future__ import annotations
 
@@ -7,15 +7,31 @@ import numpy as np
 from ..quaternions import quaternion_matrix
 from .container import GltfContainer
 
-#: Joints of a skin at most; real ones have a few hundred.
+#: Largest number of a skin's joints. Real ones have a few hundred.
 MAX_JOINTS = 10_000
 
 
 class Nodes:
-    """The node tree. Raises :class:`FileFormatError`: a node with two parents, in a circle, with a strange transform.
+    """The tree of nodes.
 
-    parent: node -> its parent; local, world: node -> (4, 4) at rest; shown: nodes of the default scene, parents first; ours:
-    heads of files that we wrote, which count as unturned.
+    Raises :class:`FileFormatError` if a node has two parents, lies in a circle, or has a malformed transform.
+
+    Attributes
+    ----------
+    entries : list of dict
+        The nodes' JSON objects.
+    children : list of list of int
+        Children of each node.
+    parent : dict
+        Parent of each node that has one.
+    local : list of (4, 4)
+        Each node's transform at rest in its parent's frame.
+    world : dict of (4, 4)
+        Each node's transform at rest in the scene.
+    shown : list of int
+        Nodes of the default scene, parents first.
+    ours : set of int
+        Heads in files that this package wrote. They count as unturned.
     """
 
     def __init__(self, file: GltfContainer) -> None:
@@ -45,12 +61,12 @@ class Nodes:
         self.shown = self._below(self._scene(roots))
 
     def _posed_by_us(self, node: dict) -> bool:
-        """Whether the node is the head of a file that we wrote: it rests in its first frame's pose, which is no neutral."""
+        """Whether the node is the head of a file that we wrote. Its rest is its first frame, not a neutral."""
         maker = str((self._file.document.get("asset") or {}).get("generator"))
         return maker.startswith("adaptiveface ") and node.get("name") == "head" and "mesh" in node
 
     def _scene(self, roots: list[int]) -> list[int]:
-        """Roots of the default scene: the file's, else its first, else all nodes."""
+        """Roots of the default scene, which is the one that the file names, else its first one, else all nodes."""
         scenes = self._file.items("scenes")
         if not scenes and "scene" not in self._file.document:
             return roots
@@ -58,7 +74,7 @@ class Nodes:
         return self._numbers_of(scene, "nodes", len(self.entries))
 
     def _below(self, roots: list[int]) -> list[int]:
-        """The nodes and all below them, parents first, each once."""
+        """The nodes and all nodes below them, each once, parents first."""
         stack = list(reversed(roots))
         out: dict[int, None] = {}
         while stack:
@@ -81,7 +97,7 @@ class Nodes:
         return out
 
     def name(self, number: int) -> str:
-        """The name of a node, "" where it has none."""
+        """The name of a node, or "" if it has none."""
         name = self.entries[number].get("name")
         return name if isinstance(name, str) else ""
 
@@ -107,7 +123,7 @@ class Nodes:
         return out
 
     def rotation(self, node: dict) -> np.ndarray:
-        """(4,) the node's quaternion x y z w, of any length but zero."""
+        """(4,) quaternion x, y, z, w of a node. Its length may be any but zero."""
         rotation = self._numbers(node.get("rotation", [0, 0, 0, 1]), 4)
         if rotation @ rotation < 1e-12:
             raise self._file.error("a node's rotation is zero")

@@ -12,7 +12,7 @@ from .file import FAN, TRIANGLES, GltfFile
 from .nodes import Nodes
 
 MAX_PRIMITIVES = 2000
-#: Sets of four joints that may hold a vertex.
+#: Largest number of sets of four joints that may hold a vertex.
 MAX_JOINT_SETS = 8
 
 
@@ -26,11 +26,28 @@ class Held:
 
 @dataclass
 class Piece:
-    """One primitive of triangles that the default scene shows: V vertices.
+    """One primitive of triangles that the default scene shows, with V vertices.
 
-    node, mesh: where it comes from; vertices (V, 3) and linear ((3, 3) or (V, 3, 3)), which turns displacements as the
-    vertices were turned, both in the file's unit; triangles (T, 3); colours (V, 3) uint8 sRGB or None; held: None without a
-    skin; kept (V,): numbers of the vertices in the file; count: how many the file has.
+    Attributes
+    ----------
+    node, mesh : int
+        Where it comes from.
+    primitive : dict
+        Its JSON object.
+    vertices : (V, 3)
+        Placed as at rest, in the file's unit.
+    linear : (3, 3) or (V, 3, 3)
+        The matrix that turns displacements as the vertices were turned.
+    triangles : (T, 3)
+        Vertex numbers.
+    colours : (V, 3) uint8 or None
+        sRGB.
+    held : Held or None
+        The joints that hold the vertices. None without a skin.
+    kept : (V,)
+        Numbers of the vertices in the file.
+    count : int
+        Number of vertices in the file.
     """
 
     node: int
@@ -50,7 +67,7 @@ class Piece:
         return bool(self.primitive.get("targets"))
 
     def displacements(self, file: GltfFile) -> Iterator[tuple[int, np.ndarray]]:
-        """Number and (V, 3) displacement of every morph target that moves anything."""
+        """Yield the number and the displacements (V, 3) of every morph target that moves vertices."""
         for number, target in enumerate(self.primitive.get("targets") or ()):
             if "POSITION" in target:
                 shape = file.accessor(target["POSITION"], self.count)
@@ -59,7 +76,7 @@ class Piece:
                 yield number, _turned(self.linear, shape[self.kept].astype(float))
 
     def only(self, chosen: np.ndarray) -> Piece:
-        """The piece without the vertices that are not ``chosen`` (V,), and without the triangles that touch them."""
+        """The piece with only the ``chosen`` vertices (V,), and the triangles between them."""
         place = np.cumsum(chosen) - 1
         triangles = place[self.triangles[chosen[self.triangles].all(axis=1)]].astype(np.int32)
         held = self.held
@@ -75,7 +92,7 @@ class Piece:
 
 
 def read_pieces(file: GltfFile, nodes: Nodes) -> list[Piece]:
-    """All pieces of the default scene; raises :class:`FileFormatError` where there is none."""
+    """All pieces of the default scene. Raises :class:`FileFormatError` if there is none."""
     pieces: list[Piece] = []
     for number in nodes.shown:
         node = nodes.entries[number]
@@ -113,7 +130,7 @@ def _piece(file: GltfFile, nodes: Nodes, number: int, primitive: dict) -> Piece:
         held, transform = _skinned(file, nodes, node["skin"], slots, shares)
     vertices = _turned(transform[..., :3, :3], points) + transform[..., :3, 3]
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e7:
-        raise file.error("vertices that are absurdly far away")
+        raise file.error("its vertices are absurdly far away")
     linear = transform[..., :3, :3]
     if np.median(np.linalg.det(linear)) < 0:  # a mirrored node turns triangles inside out
         triangles = triangles[:, ::-1]
