@@ -1,9 +1,8 @@
-"""A frame walked from ``adaptiveface track`` to ``result.npz``: the calls between files, as they are made.
+"""Walk with a frame from ``adaptiveface track`` to ``result.npz``, and list the calls between files as they are made.
 
-``python docs/frame_walk.py`` prints the list that docs/architecture.md has. A recording of one frame is tracked under
-:func:`sys.setprofile`; a line is a file that is called from
-the one above it, with the functions that are called. Left out is the ground that everything stands on
-(``GROUND``), and what only reads the command line.
+``python docs/frame_walk.py`` prints the list of docs/architecture.md. A recording of one frame is tracked under
+:func:`sys.setprofile`. A line is a file that is called from the file above it, with the called functions. The ground floor
+(``GROUND``) and the files that only read the command line are left out.
 """
 
 from __future__ import annotations

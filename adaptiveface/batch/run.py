@@ -25,8 +25,9 @@ class Batch:
     jobs : sequence of Job
         See :func:`adaptiveface.batch.expand`.
     folder : path-like
-        Output. Each job has a folder of its own in it. Beside them lie ``recordings.csv`` (a row per job),
-        ``frames.csv`` (a row per frame), both as ``.parquet`` too where pyarrow is installed, and ``index.html``.
+        The folder of the output. Each job has a folder of its own in it. The folder also gets ``index.html``,
+        ``recordings.csv`` with a row per job and ``frames.csv`` with a row per frame. If pyarrow is installed, both tables
+        are written as ``.parquet`` as well.
     """
 
     def __init__(self, jobs: Sequence[Job], folder: str | os.PathLike) -> None:
@@ -35,21 +36,26 @@ class Batch:
             raise AdaptiveFaceError(f"{self.folder}: is a file, the name of a folder is expected")
 
     def run(self, client=None, processes: int | None = None, progress: bool = False) -> list[dict]:
-        """Do the jobs that are not done yet. Returns one record per job, in the order of the jobs.
+        """Do the jobs that are not done yet.
 
         Parameters
         ----------
         client : dask.distributed.Client, optional
             A cluster whose workers see the recordings and ``folder`` under the same paths.
         processes : int, optional
-            Without a client: processes at a time, by default one per processor.
+            Number of processes at the same time without a client, by default one per processor.
         progress : bool
             Whether a bar is shown on stderr.
 
+        Returns
+        -------
+        list of dict
+            One record per job, in the order of the jobs.
+
         Notes
         -----
-        A job that was finished with the same options and the same version is not done again; one that failed is. A failing
-        job does not end the batch: its record has the ``status`` "failed" and a ``reason``.
+        A job that was finished with the same options and the same version is not done again, but a failed job is. A failing
+        job does not end the batch. Its record has the ``status`` "failed" and a ``reason``.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         records = {job.name: record for job in self.jobs if (record := finished(self.folder, job))}

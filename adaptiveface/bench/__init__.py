@@ -2,7 +2,7 @@
 
 
 def run_bench(args=None) -> int:
-    """``adaptiveface bench``: print the tables; returns the exit status."""
+    """Run ``adaptiveface bench``: print the tables and return the exit status."""
     as_json = getattr(args, "json", False)
     if getattr(args, "soak", None):
         from .soak import run_soak

@@ -1,4 +1,4 @@
-"""What limits projection and learning: how many bytes a learned frame moves, and how many the machine moves in a second."""
+"""Find what limits projection and learning: the bytes that a learned frame moves, and those that the machine can move."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 from ..tracking.adaptive_pca import AdaptiveModel
 from .peers import cpu_clock
 
-#: Larger than the caches of the machines that track faces, bytes.
+#: Size of the array that is read, bytes. It is larger than the caches of the machines that track faces.
 STREAMED = 128 << 20
 
 
 def stream_rate(repeats: int = 5) -> float:
-    """Bytes per second of processor time that one thread reads from memory, the fastest of some passes over one array."""
+    """Measure the bytes per second of processor time that one thread reads from memory. The fastest of some passes counts."""
     array = np.ones(STREAMED // 4, np.float32)
     best = np.inf
     for _ in range(repeats):
@@ -23,17 +23,18 @@ def stream_rate(repeats: int = 5) -> float:
 
 
 def learned_step_bytes(model: AdaptiveModel) -> int:
-    """Bytes that the passes of one learned frame read and write, over arrays whose size grows with the mesh.
+    """Count the bytes that one learned frame reads and writes in arrays whose size grows with the mesh.
 
-    Anchors and samples are read twice: for the products with the displacement, and for the combination of them that is its
-    part in the adaptive space. Then the new sample takes its row. What EM works on has the size of the buffer only.
+    Anchors and samples are read twice: for their products with the displacement, and for the combination of them that is the
+    displacement's part in the adaptive space. Then the new sample is written to its row. EM works on arrays whose size
+    depends only on the buffer.
     """
     length, anchors = model.anchors.shape
     return (2 * (anchors + model.count) + 1) * length * model._samples.itemsize
 
 
 def traffic_line(model: AdaptiveModel, ms: float) -> str:
-    """What projection and learning move, and their time ``ms`` as a multiple of what the machine needs to move it."""
+    """Say what projection and learning move, and compare their time ``ms`` with the time that the machine needs to move it."""
     moved, rate = learned_step_bytes(model), stream_rate()
     least = moved / rate * 1e3
     return (

@@ -1,4 +1,4 @@
-"""A coarser mesh on some of a mesh's own vertices, so that whatever the vertices carry needs no interpolation."""
+"""Coarsen a mesh to some of its own vertices, so that no value of a vertex needs interpolation."""
 
 from __future__ import annotations
 
@@ -9,27 +9,32 @@ import numpy as np
 
 from ..geometry.mesh import edges
 
-#: A collapse may not turn a triangle by more than this cosine, nor give a vertex more neighbours than this.
+#: Limits of a collapse: smallest cosine of the angle by which it turns a triangle, and largest number of neighbours after it.
 MIN_TURN, MAX_NEIGHBOURS = 0.2, 9
 
 
 def decimated(vertices: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Half-edge collapses (Kobbelt et al. 1998, "A general framework for mesh decimation") until ``count`` vertices are left.
+    """Collapse half-edges until ``count`` vertices are left.
 
-    The shortest edge goes first, measured by the length of the edges that were around it, so that the mesh becomes coarser
-    by the same factor everywhere. Holes keep their place: their vertices move along their rims only.
+    The method is that of Kobbelt et al. 1998, "A general framework for mesh decimation". The edge that is shortest relative
+    to the edges that were around it goes first, so that the mesh becomes coarser by the same factor everywhere. Holes keep
+    their place, because their vertices only move along their rims.
 
     Parameters
     ----------
-    vertices : (V, 3) float, mm
-    triangles : (T, 3) int
+    vertices : (V, 3) float array
+        Vertices of the mesh, mm.
+    triangles : (T, 3) int array
+        Its triangles.
+    count : int
+        Number of vertices to keep.
 
     Returns
     -------
-    kept : (count,) int, ascending
-        The vertices that are left; a few more where no further collapse is allowed.
-    triangles : (U, 3) int32
-        Over them.
+    kept : (count,) int array
+        Numbers of the vertices that are left, ascending. There are a few more if no further collapse is allowed.
+    triangles : (U, 3) int32 array
+        The triangles over them.
     """
     mesh = _Mesh(vertices, triangles)
     order = [(mesh.cost(a, b), a, b) for a, b in mesh.pairs()]
@@ -49,9 +54,10 @@ def decimated(vertices: np.ndarray, triangles: np.ndarray, count: int) -> tuple[
 
 
 class _Mesh:
-    """Vertices with their neighbours and triangles, as Python sets: collapses change a few at a time.
+    """Vertices with their neighbours and triangles as Python sets, of which a collapse changes a few.
 
-    around: vertex -> neighbours; triangles: vertex -> its triangles, each beginning with its smallest vertex.
+    ``around`` maps a vertex to its neighbours. ``triangles`` maps a vertex to its triangles, each of which begins with its
+    smallest vertex.
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
@@ -67,16 +73,16 @@ class _Mesh:
         self._scale = (np.bincount(both, np.tile(length, 2), minlength=size) / uses).tolist()
 
     def pairs(self) -> Iterator[tuple[int, int]]:
-        """Every edge, both ways."""
+        """Yield every edge in both directions."""
         return ((a, b) for a, around in self.around.items() for b in around)
 
     def cost(self, gone: int, onto: int) -> float:
-        """The edge's length, as a multiple of what was the mean about the vertex that would go."""
+        """Return the length of the edge divided by the original mean length around the vertex that would go."""
         a, b = self._points[gone], self._points[onto]
         return ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2) ** 0.5 / self._scale[gone]
 
     def on_rim(self, vertex: int) -> bool:
-        """Whether it has more neighbours than triangles."""
+        """Whether the vertex lies on the rim of a hole: it has more neighbours than triangles."""
         return len(self.around[vertex]) > len(self.triangles[vertex])
 
     def allows(self, gone: int, onto: int) -> bool:
@@ -102,7 +108,7 @@ class _Mesh:
         return u[1] * w[2] - u[2] * w[1], u[2] * w[0] - u[0] * w[2], u[0] * w[1] - u[1] * w[0]
 
     def collapse(self, gone: int, onto: int) -> set[int]:
-        """Move a vertex onto its neighbour; returns the neighbour's neighbours afterwards."""
+        """Move a vertex onto its neighbour, and return the neighbours that this one has afterwards."""
         for t in list(self.triangles[gone]):
             for vertex in t:
                 self.triangles[vertex].discard(t)

@@ -1,4 +1,4 @@
-"""``adaptiveface bench --vertices 5000,10000,20000``: how every stage grows with the mesh, and with K, S and A."""
+"""Measure how every stage grows with the mesh and with K, S and A: ``adaptiveface bench --vertices 5000,10000,20000``."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from .run import machine_load
 from .scene import SEED, bench_scene, rendering_bar
 from .sizes import actor_of_size
 
-#: Frames of the performance; the trackers take turns of so many, so that what else the machine does meets all alike, and
-#: each finds the caches as its own last frame left them.
+#: Number of frames of the performance, and of frames that a tracker processes in a row. The trackers take turns, so that other
+#: work of the machine affects all of them, and each of them mostly finds the caches as its own last frame left them.
 FRAMES, TURN = 60, 20
-#: At most so often the performance is tracked before the clock starts, until the sample buffer is full.
+#: Largest number of times that the performance is tracked before the clock starts, until the sample buffer is full.
 WARM_UP = 40
-#: Values of the other parameters, whose growth is shown on the embedded mesh, and the comparisons that depend on them.
+#: Values of the other parameters for which growth is shown on the embedded mesh, and the comparisons that depend on them.
 OTHERS: Mapping[str, tuple[tuple[int, ...], tuple[Callable, ...]]] = {
     "adaptive_pca.K": ((6, 12, 24), (peers.incremental_pca,)),
     "adaptive_pca.S": ((100, 200, 400), ()),
@@ -43,7 +43,7 @@ ALL_PEERS = (
 
 @dataclass(frozen=True)
 class Growth:
-    """CPU times (ms, medians) of one stage or peer at the ``sizes`` (S,); NaN where there is none."""
+    """Median CPU times of one stage or peer at the ``sizes`` (S,), ms. A missing time is NaN."""
 
     name: str
     sizes: np.ndarray
@@ -51,18 +51,18 @@ class Growth:
 
     @property
     def power(self) -> float:
-        """The p of n^p, by least squares on the logarithms."""
+        """The exponent p of n^p, by least squares on the logarithms."""
         return float(np.polyfit(np.log(self.sizes), np.log(self.ms), 1)[0])
 
     @property
     def steep(self) -> bool:
-        """Whether it grows more than n log n does, from the first size to the last."""
+        """Whether the time grows faster than n log n from the first size to the last."""
         n = self.sizes * np.log(self.sizes)
         return bool(self.ms[-1] / self.ms[0] > n[-1] / n[0])
 
 
 def stage_growth(trackers: Sequence[FaceTracker], sizes: Sequence[int], frames: Sequence[RgbdFrame]) -> list[Growth]:
-    """Every stage's median CPU time over the frames that are learned, of trackers that differ in one size."""
+    """Measure the median CPU time of every stage over the learned frames, for trackers that differ in one size."""
     for tracker in trackers:
         for _ in range(WARM_UP):
             for frame in frames:
@@ -86,7 +86,7 @@ def stage_growth(trackers: Sequence[FaceTracker], sizes: Sequence[int], frames: 
 
 
 def peer_growth(recordings: Sequence[peers.Recorded], sizes: Sequence[int], comparisons: Sequence[Callable]) -> list[Growth]:
-    """Ours and the peer's CPU times of every comparison, on the same inputs, in pairs."""
+    """Measure our CPU times and the peers' on the same inputs, for every comparison."""
     n, out = np.asarray(sizes, float), []
     for compare in comparisons:
         found = [compare(recorded, 20) for recorded in recordings]
@@ -98,7 +98,7 @@ def peer_growth(recordings: Sequence[peers.Recorded], sizes: Sequence[int], comp
 
 
 def growth_table(title: str, growths: Sequence[Growth]) -> str:
-    """One line per stage or peer: ms at each size, and the power of the size that it grows like."""
+    """Format one line per stage or peer, with the ms at each size and the exponent of its growth."""
     sizes = growths[0].sizes
     steepest = Growth("n log n", sizes, sizes * np.log(sizes)).power
     lines = [f"{title:<50}" + "".join(f"{size:>9.0f}" for size in sizes) + f"{'n^':>7}   (n log n: {steepest:.2f})"]
@@ -111,7 +111,7 @@ def growth_table(title: str, growths: Sequence[Growth]) -> str:
 
 
 def vertex_growth(vertices: Sequence[int], frames: int, progress: Callable = lambda numbers: numbers) -> str:
-    """The table over meshes of so many vertices, and below it stages and peers on the same inputs."""
+    """Make the table over meshes with these numbers of vertices, and below it the stages beside peers on the same inputs."""
     performer = Performer(SEED)
     _, scene = bench_scene(frames, progress=progress)
     actors = [actor_of_size(performer, count) for count in vertices]
@@ -124,7 +124,7 @@ def vertex_growth(vertices: Sequence[int], frames: int, progress: Callable = lam
 
 
 def parameter_growth(name: str, frames: int, progress: Callable = lambda numbers: numbers) -> str:
-    """The tables over the values of one of :data:`OTHERS`, on the embedded mesh."""
+    """Make the tables over the values of one of :data:`OTHERS`, on the embedded mesh."""
     values, comparisons = OTHERS[name]
     actor, scene = bench_scene(frames, progress=progress)
     sets = [Parameters().replace(**{name: value}) for value in values]
@@ -136,13 +136,13 @@ def parameter_growth(name: str, frames: int, progress: Callable = lambda numbers
 
 
 def _recorded(actor: Actor, scene: list[RgbdFrame], parameters: Parameters | None = None) -> peers.Recorded:
-    """What the stages are called with once the sample buffer is about full."""
+    """Record the inputs of the stages once the sample buffer is almost full."""
     size = (parameters or Parameters()).adaptive_pca.S
     return peers.record(actor, scene * (1 + size // len(scene)), min(30, len(scene)), parameters)
 
 
 def run_growth(vertices: Sequence[int], frames: int | None = None) -> int:
-    """``adaptiveface bench --vertices``: print the tables; 0."""
+    """Run ``adaptiveface bench --vertices``: print the tables and return the exit status 0."""
 
     count = frames or FRAMES
     peers.load_peers()

@@ -1,6 +1,6 @@
-"""``adaptiveface bench --live``: the whole live chain on the synthetic sensor, with MediaPipe on every frame.
+"""Measure the whole live chain on the synthetic sensor, with MediaPipe on every frame: ``adaptiveface bench --live``.
 
-The sensor plays rendered frames at 30 a second; the detector sees their pictures although they bring features, so that
+The sensor plays rendered frames at 30 per second. The detector searches their pictures although they bring features, so that
 sensor, detector and tracker share the machine as they do with a camera.
 """
 
@@ -27,7 +27,7 @@ from ..sensors.playback import EXPRESSION_FRAMES, NEUTRAL_FRAMES, SyntheticDrive
 from ..synthetic.sensor import SyntheticSensor
 from .scene import SEED
 
-#: Before anything is counted: kernels are loaded, the detector has found the face, the sample buffer is filling.
+#: Time before anything is counted, s, in which kernels are loaded, the detector finds the face and the sample buffer fills.
 WARM_UP_SECONDS = 5.0
 
 
@@ -47,15 +47,16 @@ class TimedDetector(FeatureDetector):
 
 
 class FastDriver(SyntheticDriver):
-    """The synthetic sensor at a rate that the tracker cannot follow: every thread is busy all the time."""
+    """The synthetic sensor at a rate that the tracker cannot follow, so that every thread is always busy."""
 
     fps = 120.0
 
 
 def live_scene(make_driver=SyntheticDriver, frames: int = EXPRESSION_FRAMES) -> tuple[Actor, LiveSensor]:
-    """The rig of the bench's performer and a live sensor that shows them, rendered before it returns.
+    """Make the rig of the bench's performer and a live sensor that shows this performer.
 
-    The rig knows its appearance, as after a neutral scan, so that its features are refined.
+    All frames are rendered before the function returns. The rig knows its appearance, as after a neutral scan, so that its
+    features are refined.
     """
     source = SyntheticSensor(SEED, "structured-light", min(NEUTRAL_FRAMES, frames), frames, repeats=1)
     rendered: dict = {}
@@ -67,7 +68,7 @@ def live_scene(make_driver=SyntheticDriver, frames: int = EXPRESSION_FRAMES) -> 
 
 @dataclass(frozen=True)
 class LiveFigures:
-    """What :func:`measure_live` found; times in ms, ``*_p50`` and ``*_p95`` over all frames of ``seconds``."""
+    """Figures from :func:`measure_live`. Times are in ms, and ``*_p50`` and ``*_p95`` are percentiles over all frames."""
 
     seconds: float
     frames: int
@@ -88,7 +89,7 @@ class LiveFigures:
     cores: int
 
     def table(self) -> str:
-        """For people."""
+        """Format the figures for people."""
         busy = ": BUSY, the figures are inflated" if self.load > self.cores + 0.5 else ""
         rows = [
             ("frame arrival to mesh, ms", f"{self.latency_p50:.1f}", f"{self.latency_p95:.1f}"),
@@ -109,12 +110,15 @@ class LiveFigures:
 
 
 def measure_live(seconds: float, warm_up: float = WARM_UP_SECONDS, tick: Callable[[float], None] = lambda s: None):
-    """Run the chain for ``seconds`` after ``warm_up``; ``tick(elapsed)`` about once a second. -> :class:`LiveFigures`."""
+    """Run the chain for ``seconds`` after ``warm_up`` seconds, and return :class:`LiveFigures`.
+
+    ``tick(elapsed)`` is called about once per second.
+    """
     detector, results = TimedDetector(), []
     actor, sensor = live_scene()
 
     def keep(result: LiveResult) -> None:
-        """Latency and tracking time, ms, and whether the face was tracked."""
+        """Keep latency and tracking time, ms, and whether the face was tracked."""
         results.append((result.latency_ms, sum(result.tracked.stage_ms.values()), result.tracked.tracked))
 
     with sensor, FeatureFeed(sensor, detector) as feed, LiveSession(feed, actor, on_result=[keep]) as session:
@@ -152,7 +156,7 @@ def _percentile(values: np.ndarray, level: int) -> float:
 
 
 def _wait(session: LiveSession, seconds: float, tick: Callable[[float], None]) -> float:
-    """Sleep for ``seconds`` while the session runs; raises its error. Returns the time that passed."""
+    """Sleep for ``seconds`` while the session runs, and return the time that passed. Raises the session's error."""
     start = time.perf_counter()
     while (elapsed := time.perf_counter() - start) < seconds and session.running:
         time.sleep(min(1.0, seconds - elapsed))
@@ -162,7 +166,7 @@ def _wait(session: LiveSession, seconds: float, tick: Callable[[float], None]) -
 
 
 def run_live(seconds: float, as_json: bool = False) -> int:
-    """``adaptiveface bench --live``: measure and print; returns the exit status."""
+    """Run ``adaptiveface bench --live``: measure, print, and return the exit status."""
     from tqdm import tqdm
 
     with tqdm(total=round(seconds), desc="live", unit="s", leave=False, disable=None) as bar:

@@ -1,9 +1,9 @@
-"""The paper's own timings (section 7, "Performance"), one place for the report and the bench."""
+"""Hold the paper's own timings (section 7, "Performance") for the report and the bench."""
 
 from __future__ import annotations
 
-#: Stage of ``STAGE_NAMES`` -> ms per frame on a quad-core of 2012. "Fitting in adaptive space" (9 ms) is the Laplacian
-#: deformation (4.2 ms, the same solver as the final one) together with the projection (the rest).
+#: Time of each stage of ``STAGE_NAMES`` on a quad-core of 2012, ms per frame. "Fitting in adaptive space" (9 ms) is made up of
+#: the Laplacian deformation (4.2 ms, by the same solver as the final one) and the projection (the rest).
 PAPER_MS = {
     "rigid": 3.2,
     "blendshapes": 3.0,

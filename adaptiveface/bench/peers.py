@@ -1,9 +1,8 @@
-"""Other libraries doing the tracker's work on the tracker's own inputs, where they are installed.
+"""Compare the tracker's stages with other libraries on the tracker's own inputs, if those libraries are installed.
 
-Every comparison takes what the tracker handed to one of its stages in real frames, and times that stage and its peer on
-it in turn, one thread each. Work that a peer would have to do once per frame before it can start (point clouds and
-normals from the depth map, stacking rows) is left out of its time, in its favour; what both do once for all frames
-(factorisations) counts for neither.
+Every comparison takes the inputs of one stage in real frames, and times the stage and its peer on them in turn, with one
+thread each. A peer's preparation of each frame (point clouds and normals from the depth map, stacking of rows) is left out of
+its time, in its favour. Work that both do once for all frames (factorisations) is left out for both.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from ..tracking.stages import Stages
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import SampleState
 
-#: CPU seconds of this process, which other programs on the machine do not lengthen; elapsed seconds where that clock is
-#: too coarse (Windows: 16 ms).
+#: CPU seconds of this process, which other programs on the machine do not lengthen. If that clock is too coarse (16 ms on
+#: Windows), these are elapsed seconds.
 cpu_clock = time.process_time if time.get_clock_info("process_time").resolution < 1e-4 else time.perf_counter
 
 INSTALL = "pip install 'adaptiveface[bench]'"
@@ -38,9 +37,10 @@ INSTALL = "pip install 'adaptiveface[bench]'"
 
 @dataclass(frozen=True)
 class Comparison:
-    """Median CPU ms of one stage and of a peer on the same inputs; ``peer_ms`` None where the peer is not installed.
+    """Median CPU times of one stage and of a peer on the same inputs, ms.
 
-    ``agreement``: how far the two results lie apart, in words, "" where they solve it differently.
+    ``peer_ms`` is None if the peer is not installed. ``agreement`` says in words how far the two results lie apart; it is ""
+    if they solve the problem differently.
     """
 
     stage: str
@@ -52,7 +52,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What the tracker's stages were called with, in order: one list of argument tuples per stage."""
+    """The arguments of the tracker's stages in order, as one list of tuples per stage."""
 
     tracker: FaceTracker
     align: list
@@ -64,14 +64,14 @@ class Recorded:
 
 
 class Notes:
-    """Copies of the positional arguments of calls, while ``on``."""
+    """Keeps copies of the positional arguments of calls while it is ``on``."""
 
     def __init__(self, on: bool = False) -> None:
         self.on = on
         self.calls: list[tuple] = []
 
     def noting(self, method: Callable) -> Callable:
-        """``method``, whose calls are noted."""
+        """Wrap ``method`` so that its calls are noted."""
 
         @wraps(method)
         def noted(instance, *arguments, **options):
@@ -83,9 +83,9 @@ class Notes:
 
 
 def record(actor: Actor, frames, count: int, parameters: Parameters | None = None) -> Recorded:
-    """Track ``frames`` and keep the arguments of the stages that have a peer: of the last ``count`` frames.
+    """Track ``frames``, and keep the arguments of the stages that have a peer in the last ``count`` frames.
 
-    The samples are kept of all frames, because the model's state comes from all of them.
+    Samples are kept from all frames, because the state of the model comes from all of them.
     """
     aligned, fitted, solved, rows, prefactored = notes = Notes(), Notes(), Notes(), Notes(), Notes()
     learned = Notes(on=True)
@@ -107,7 +107,7 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
         parts = learned.noting(AdaptiveModel.parts)
 
     stages = Stages(rigid=Rigid, blendshapes=Fit, deformation=Deformation.of, adaptive_pca=Model)
-    # What was given to a fit is solved again afterwards: its expressions must still be the same.
+    # The inputs of a fit are solved again afterwards, so its expressions must stay the same.
     parameters = (parameters or Parameters()).replace(personal_blendshapes__on=False)
     tracker = FaceTracker(actor, parameters, stages)
     for number, frame in enumerate(frames):
@@ -120,18 +120,18 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
 
 
 def load_peers() -> list[str]:
-    """Import the peers that are installed, so that a thread limit set afterwards reaches them; their names."""
+    """Import the installed peers, so that a thread limit set afterwards reaches them, and return their names."""
     return [name for name in ("open3d", "igl", "sklearn.decomposition") if _optional(name) is not None]
 
 
 def compare_all(recorded: Recorded, limit: int = 40) -> list[Comparison]:
-    """Every comparison, on at most ``limit`` calls each."""
+    """Make every comparison on at most ``limit`` calls."""
     comparisons = (rigid_icp, bounded_solve, blendshape_fit, prefactored_solve, incremental_pca)
     return [compare(recorded, limit) for compare in comparisons]
 
 
 def _in_turn(ours: Callable, peer: Callable | None, inputs: list) -> tuple[float, float | None]:
-    """Median CPU ms of both over the inputs; they take turns, so that both meet the same caches and clock rates."""
+    """Measure the median CPU ms of both. They take turns, so that both meet the same caches and clock rates."""
     times: tuple[list[float], list[float]] = ([], [])
     for arguments in inputs:
         for function, spent in zip((ours, peer), times, strict=True):
@@ -155,9 +155,9 @@ def _spread(calls: list, limit: int) -> list:
 
 # ---- rigid: point-to-plane ICP ---------------------------------------------------------------------------------------
 def rigid_icp(recorded: Recorded, limit: int) -> Comparison:
-    """Open3D's point-to-plane ICP: the same points, depth map, start, reach and number of iterations.
+    """Compare with Open3D's point-to-plane ICP, given the same points, depth map, start, reach and number of iterations.
 
-    It searches nearest neighbours in a k-d tree where the tracker projects into the depth map.
+    Open3D searches nearest neighbours in a k-d tree, whereas the tracker projects into the depth map.
     """
     o3d, p = _optional("open3d"), recorded.tracker.parameters.rigid
     inputs, peer = [], None
@@ -167,7 +167,7 @@ def rigid_icp(recorded: Recorded, limit: int) -> Comparison:
     if o3d is not None:
         registration = o3d.pipelines.registration
         plane = registration.TransformationEstimationPointToPlane()
-        # Zero tolerances: exactly as many iterations as the tracker makes.
+        # With zero tolerances, it makes exactly as many iterations as the tracker.
         criteria = registration.ICPConvergenceCriteria(0.0, 0.0, p.iterations)
 
         def peer(surface, shape, normals, pose, source, target):
@@ -180,7 +180,7 @@ def rigid_icp(recorded: Recorded, limit: int) -> Comparison:
 
 
 def _clouds(o3d, surface, points: np.ndarray):
-    """The tracker's points, and the depth map's points with normals, as Open3D point clouds."""
+    """Convert the tracker's points, and the depth map's points with normals, to Open3D point clouds."""
     v, u = np.nonzero(surface.valid)
     pixels = np.stack([u + surface.origin[0], v + surface.origin[1]], axis=1).astype(float)
     depth = surface.depth[v, u].astype(float)
@@ -198,7 +198,7 @@ def _clouds(o3d, surface, points: np.ndarray):
 
 # ---- blendshapes: bounded least squares ------------------------------------------------------------------------------
 def bounded_solve(recorded: Recorded, limit: int) -> Comparison:
-    """scipy's ``lsq_linear`` on the normal equations of one round, as the equivalent square system R z = R^-T g."""
+    """Compare with scipy's ``lsq_linear`` on the normal equations of one round, as the equivalent system R z = R^-T g."""
     fit = recorded.tracker.blendshapes
     inputs = []
     for equations, x in _spread(recorded.solve, limit):
@@ -217,7 +217,7 @@ def bounded_solve(recorded: Recorded, limit: int) -> Comparison:
 
 
 def blendshape_fit(recorded: Recorded, limit: int) -> Comparison:
-    """The whole blendshape stage (search, rows and solve) against ``lsq_linear`` on the rows it stacked, no search."""
+    """Compare the whole blendshape stage (search, rows, solve) with ``lsq_linear`` on its stacked rows, without search."""
     fit = recorded.tracker.blendshapes
     rounds = len(recorded.solve) // len(recorded.fit)
     systems = _tall_systems(recorded)
@@ -237,13 +237,13 @@ def blendshape_fit(recorded: Recorded, limit: int) -> Comparison:
 
 
 def _bounds(parameters, count: int):
-    """The pose update is free, the coefficients are bounded."""
+    """Return the bounds: the pose update is free, and the coefficients are bounded."""
     free, ones = np.full(6, np.inf), np.ones(count)
     return np.concatenate([-free, parameters.lower * ones]), np.concatenate([free, parameters.upper * ones])
 
 
 def _tall_systems(recorded: Recorded) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(matrix (m, 6 + A), target (m,)) of every solve: the rows given to ``add_rows``, and the diagonal penalties."""
+    """Return matrix (m, 6 + A) and target (m,) of every solve: the rows given to ``add_rows`` and the diagonal penalties."""
     by_equations: dict[int, list] = {}
     for equations, jacobian, residual, weights, current in recorded.rows:
         by_equations.setdefault(id(equations), []).append((jacobian, residual, weights, current))
@@ -263,7 +263,7 @@ def _tall_systems(recorded: Recorded) -> list[tuple[np.ndarray, np.ndarray]]:
 
 # ---- laplacian: prefactored solve ------------------------------------------------------------------------------------
 def prefactored_solve(recorded: Recorded, limit: int) -> Comparison:
-    """libigl's ``min_quad_with_fixed`` with the same matrix A0, factorised once; three right-hand sides."""
+    """Compare with libigl's ``min_quad_with_fixed`` for the same matrix A0, factorised once, and three right-hand sides."""
     deformation, igl = recorded.tracker.deformation, _optional("igl")
     inputs, peer, agreement = _spread(recorded.prefactored, limit), None, ""
     ours = deformation.system.solve
@@ -284,7 +284,7 @@ def prefactored_solve(recorded: Recorded, limit: int) -> Comparison:
 
 # ---- adaptive PCA ----------------------------------------------------------------------------------------------------
 def incremental_pca(recorded: Recorded, limit: int) -> Comparison:
-    """scikit-learn's ``IncrementalPCA``: one new valid sample, after the samples of the buffer."""
+    """Compare with scikit-learn's ``IncrementalPCA`` on one new valid sample after the samples of the buffer."""
     tracker, decomposition = recorded.tracker, _optional("sklearn.decomposition")
     p = tracker.parameters.adaptive_pca
     model = AdaptiveModel(tracker.actor, tracker.transferred.basis, p)

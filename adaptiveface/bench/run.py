@@ -1,4 +1,4 @@
-"""``adaptiveface bench``: the tracker's time per stage, beside the paper's figures and beside peers."""
+"""Measure the tracker's time per stage beside the paper's figures and beside peers: ``adaptiveface bench``."""
 
 from __future__ import annotations
 
@@ -21,16 +21,24 @@ from .peers import INSTALL, Comparison, compare_all, cpu_clock, load_peers, reco
 from .scene import bench_scene, rendering_bar
 
 FRAMES = 300
-#: Frames whose stage inputs are kept for the peers.
+#: Number of frames whose stage inputs are kept for the peers.
 RECORDED = 60
 
 
 @dataclass(frozen=True)
 class Timings:
-    """``stage_ms`` (F, S) elapsed ms of the timed frames, one column for each of ``STAGE_NAMES``.
+    """Times of F frames.
 
-    whole_ms, cpu_ms (F,): elapsed and CPU time of the whole ``track`` call; learned: PCA updates in these frames; the sizes
-    of the mesh.
+    Attributes
+    ----------
+    stage_ms : (F, S) array
+        Elapsed time of each stage of ``STAGE_NAMES``, ms.
+    whole_ms, cpu_ms : (F,) arrays
+        Elapsed and CPU time of the whole ``track`` call, ms.
+    learned : int
+        Number of PCA updates in these frames.
+    n_vertices, n_frontal : int
+        Number of vertices, and of those in the frontal region.
     """
 
     stage_ms: np.ndarray
@@ -42,15 +50,16 @@ class Timings:
 
 
 def time_stages(actor: Actor, frames: list[RgbdFrame], parameters: Parameters | None = None) -> Timings:
-    """Track ``frames`` twice with learning on and keep the times of the second pass.
+    """Track ``frames`` twice with learning on, and keep the times of the second pass.
 
-    The first pass compiles (or loads) the kernels and fills the sample buffer, whose size the update's cost grows with.
+    The first pass compiles or loads the kernels. It also fills the sample buffer, because an update costs more with a fuller
+    buffer.
     """
     tracker = FaceTracker(actor, parameters)
     for frame in frames:
         tracker.track(frame)
     before, rows, spent = tracker.model.updates, [], []
-    gc.disable()  # a collection inside a stage is the list's cost, not the stage's
+    gc.disable()  # a collection inside a stage would be counted as the stage's time
     try:
         for frame in frames:
             start = perf_counter(), cpu_clock()
@@ -66,7 +75,7 @@ def time_stages(actor: Actor, frames: list[RgbdFrame], parameters: Parameters | 
 
 
 def stage_table(timings: Timings) -> str:
-    """Median, 95th and 99th percentile of every stage, of their sum and of the whole frame, ms, beside the paper's figures."""
+    """Format median, 95th and 99th percentile of every stage, of their sum and of the whole frame beside the paper's, ms."""
     rows = [(name, timings.stage_ms[:, k], PAPER_MS.get(name)) for k, name in enumerate(STAGE_NAMES)]
     rows.append(("sum of stages", timings.stage_ms.sum(axis=1), PAPER_SUM_MS))
     rows += [("whole frame", timings.whole_ms, None), ("CPU time of it", timings.cpu_ms, None)]
@@ -79,7 +88,7 @@ def stage_table(timings: Timings) -> str:
 
 
 def peer_table(comparisons: list[Comparison]) -> str:
-    """Every stage beside its peer on the same inputs, CPU ms (medians)."""
+    """Format the median CPU ms of every stage and of its peer on the same inputs."""
     lines = [f"{'same inputs, CPU ms':<20}{'ours':>9}{'peer':>9}{'ratio':>9}   peer"]
     for entry in comparisons:
         if entry.peer_ms is None:
@@ -92,7 +101,7 @@ def peer_table(comparisons: list[Comparison]) -> str:
 
 
 def verdict(timings: Timings, comparisons: list[Comparison]) -> str:
-    """The two claims in words: a third of the paper's sum, every stage faster than its peer."""
+    """Say whether the two claims hold: a third of the paper's sum, and every stage faster than its peer."""
     median = float(np.median(timings.stage_ms.sum(axis=1)))
     limit = PAPER_SUM_MS / 3
     lines = [
@@ -109,13 +118,13 @@ def verdict(timings: Timings, comparisons: list[Comparison]) -> str:
 
 
 def machine_load() -> str:
-    """How busy the machine is, in words; other programs' work shows in the figures."""
+    """Say how busy the machine is, because other programs' work shows in the figures."""
     busy, cores = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0, os.cpu_count() or 1
     return f"; load {busy:.1f} on {cores} cores" + (": BUSY, the figures are inflated" if busy > cores else "")
 
 
 def main(args=None) -> int:
-    """Run everything and print the tables; ``args``: the command line's namespace (its ``frames``, where present)."""
+    """Run everything and print the tables. ``args`` is the command line's namespace, whose ``frames`` is used if present."""
     frames = getattr(args, "frames", None) or FRAMES
 
     load_peers()

@@ -1,4 +1,4 @@
-"""What the bench runs on: a synthetic performer's frames, rendered into memory before any clock starts."""
+"""Render the frames of the bench's synthetic performer into memory before any clock starts."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..model.actor import Actor
 from ..neutral.capture import build_actor
 from ..synthetic.sensor import SyntheticSensor
 
-#: A development seed; the bench says nothing about accuracy.
+#: A development seed, because the bench says nothing about accuracy.
 SEED = 7
 
 
 def rendering_bar(numbers):
-    """The numbers, with a bar on stderr while they are rendered."""
+    """Yield the numbers, with a bar on stderr while their frames are rendered."""
     return tqdm(numbers, desc="rendering", unit="frame", leave=False, disable=None, file=sys.stderr)
 
 
 def bench_scene(frames: int, noise: str = "structured-light", progress=lambda frames: frames):
-    """(actor, list of frames) of one performance of ``frames`` frames at the embedded mesh's size.
+    """Make the actor and the list of frames of one performance of ``frames`` frames, with the embedded mesh.
 
-    The rig has the performer's exact neutral and transferred generic expressions, so that no scan is needed; the
-    performer's folds and asymmetries lie outside of it and are learned.
+    The rig has the performer's exact neutral and the transferred generic expressions, so that no scan is needed. The
+    performer's folds and asymmetries lie outside the rig, and are learned.
     """
     sensor = SyntheticSensor(SEED, noise, neutral_frames=0, frames=frames, repeats=1, colour=False)
     performer = sensor.performer

@@ -1,4 +1,4 @@
-"""Face models of other sizes, for the growth of the tracker's stages with the mesh."""
+"""Make face models of other sizes, to measure how the tracker's stages grow with the mesh."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from .decimation import decimated
 
 
 def actor_of_size(performer: Performer, vertices: int) -> Actor:
-    """The performer's rig on a mesh of so many vertices; raises ValueError beyond those of the performer's surface.
+    """Make the performer's rig on a mesh with this number of vertices.
 
-    The performer's surface is the model's mesh after one step of Loop subdivision. It is made coarser on its own vertices,
-    which therefore lie exactly on what the sensor sees: the same frames serve every size.
+    The performer's surface is the model's mesh after one step of Loop subdivision. It is coarsened to some of its own
+    vertices. They lie exactly on the surface that the sensor sees, so that the same frames serve every size. ValueError is
+    raised for more vertices than the performer's surface has.
     """
     model, kept = model_of_size(performer.model, vertices)
     return build_actor(model, performer.surface(np.zeros(len(performer.expression_names)))[kept])
 
 
 def model_of_size(model: FaceModel, vertices: int) -> tuple[FaceModel, np.ndarray]:
-    """A ``model`` on some vertices of its subdivided mesh, and the numbers (V,) of those there.
+    """Reduce a ``model`` to some vertices of its subdivided mesh, and return it with their numbers (V,) in that mesh.
 
-    Mean, modes and expressions are the subdivided ones at these vertices. A vertex is frontal, or takes depth, where the
-    vertices that it lies between do. Features keep their place on the surface. What only other parts of the package need
-    (the mirrored vertices, the detector's other landmarks) is left out.
+    Mean, modes and expressions are the subdivided ones at these vertices. A vertex is frontal, or takes depth, if the
+    vertices that it lies between do. Features keep their place on the surface. Data that only other parts of the package need
+    (the mirrored vertices, the detector's other landmarks) are left out.
     """
     matrix, triangles = loop_subdivision(model.triangles, len(model.mean))
     fine = matrix @ model.mean
@@ -59,28 +60,28 @@ def model_of_size(model: FaceModel, vertices: int) -> tuple[FaceModel, np.ndarra
 
 
 def feature_points(model: FaceModel, matrix: sparse.csr_matrix) -> np.ndarray:
-    """(40, 3) the features on the mean head's subdivided surface, whose first vertices are the model's."""
+    """Return the (40, 3) features on the subdivided surface of the mean head, whose first vertices are the model's."""
     smooth = (matrix @ model.mean)[: len(model.mean)]
     points: np.ndarray = np.einsum("fk,fkd->fd", model.feature_weights, smooth[model.feature_triangles])
     return points
 
 
 def _at(rows: sparse.csr_matrix, fields: np.ndarray) -> np.ndarray:
-    """Fields (M, V, 3) of the model at the vertices of ``rows`` (W, V): (M, W, 3)."""
+    """Interpolate fields (M, V, 3) of the model at the vertices of ``rows`` (W, V), and return (M, W, 3) values."""
     return np.stack([rows @ field for field in fields])
 
 
 def _between(mask: np.ndarray, rows: sparse.csr_matrix, kept: np.ndarray) -> np.ndarray:
-    """A mask (V,) at ``kept`` (W,) vertices: its own value at an old one, both ends' value in the middle of an edge."""
+    """Return a mask (V,) at ``kept`` (W,) vertices. In the middle of an edge, it holds if it holds at both ends."""
     old = kept < len(mask)
-    # An edge point has 3/8 of each end, or a half on a rim; the opposite vertices have no more than 1/8.
+    # An edge point has 3/8 of each end, or a half on a rim. The opposite vertices have at most 1/8.
     ends = rows.multiply(rows > 0.3).astype(bool)
     outside = ends @ (~mask).astype(float) > 0
     return np.where(old, mask[np.minimum(kept, len(mask) - 1)], ~outside)
 
 
 def places(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest place on a mesh for each of ``points`` (n, 3): corners (n, 3) int32 and barycentric weights (n, 3)."""
+    """Find the nearest place on a mesh for each of ``points`` (n, 3): corners (n, 3) int32 and barycentric weights (n, 3)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     u, v = b - a, c - a
     uu, uv, vv = (u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)

@@ -1,4 +1,4 @@
-"""``adaptiveface bench --soak MINUTES``: the live chain at full speed; does memory grow, are threads or files left?"""
+"""Run the live chain at full speed to see whether memory, threads or files grow: ``adaptiveface bench --soak MINUTES``."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..errors import MissingExtraError
 from ..live import FeatureFeed, LiveSession
 from .live import FastDriver, TimedDetector, live_scene
 
-#: Before what is measured, the chain runs for this share of its time, at most so many seconds: buffers fill, and the C
-#: allocator finds its working size. Sampled over 45 minutes, it asked for its last 40 KiB between the third and the
-#: fifteenth, by ever rarer steps, while the bytes in use and Python's blocks stayed, and for nothing afterwards.
+#: Length of the warm-up as a share of the measured time, and its largest value, s. In this time buffers fill, and the C
+#: allocator finds its working size. Sampled over 45 minutes, the allocator asked for its last 40 KiB between the third and
+#: the fifteenth minute in ever rarer steps, while the bytes in use and Python's blocks stayed constant, and for nothing later.
 WARM_UP_SHARE, WARM_UP_MOST = 0.5, 900.0
-#: The line is fitted to the means of so many blocks.
+#: Number of blocks to whose means the line is fitted.
 BLOCKS = 100
 
 
@@ -36,14 +36,14 @@ class Trend:
 
 
 def trend(seconds: np.ndarray, values: np.ndarray, blocks: int = BLOCKS) -> Trend:
-    """Line through the block means of ``values`` (n,) at ``seconds`` (n,), per minute, by generalised least squares.
+    """Fit a line to the block means of ``values`` (n,) at ``seconds`` (n,) by generalised least squares, per minute.
 
-    Allocators take memory in steps and keep it, so that neighbouring means are not independent, and plain regression finds a
+    Allocators take memory in steps and keep it, so that neighbouring means are not independent. Plain regression finds a
     "significant" slope in most series that only wander (Nelson & Kang 1984, "Pitfalls in the use of time as an explanatory
-    variable in regression"; one single step in 25 minutes: in 88 % of 400 simulated runs). The errors are therefore
-    taken to be autoregressive, and a random walk where their coefficient is within n^-1/2 of one: the interval then
-    holds for steady and for wandering memory alike (Perron & Yabu 2009, "Estimating deterministic trends with an
-    integrated or stationary noise component"). A leak, which takes a little again and again, is found as before.
+    variable in regression"). With a single step in 25 minutes, it did so in 88 % of 400 simulated runs. The errors are
+    therefore assumed to be autoregressive, and to be a random walk if their coefficient is within n^-1/2 of one. The interval
+    then holds for steady memory and for wandering memory (Perron & Yabu 2009, "Estimating deterministic trends with an
+    integrated or stationary noise component"). A leak, which takes a little again and again, is still found.
     """
     groups = [g for g in np.array_split(np.arange(len(values)), min(blocks, len(values))) if len(g)]
     t = np.array([seconds[g].mean() for g in groups]) / 60.0
@@ -51,10 +51,10 @@ def trend(seconds: np.ndarray, values: np.ndarray, blocks: int = BLOCKS) -> Tren
     r = _autoregression(y - np.polyval(np.polyfit(t, y, 1), t))
 
     def quasi_difference(series: np.ndarray) -> np.ndarray:
-        """(n,) of (n,): what each value adds to the share ``r`` of the one before it."""
+        """Return (n,) what each value of a series (n,) adds to the share ``r`` of the value before it."""
         return np.concatenate([[np.sqrt(1 - r**2) * series[0]], series[1:] - r * series[:-1]])
 
-    columns = [t] if r == 1 else [np.ones(len(t)), t]  # a random walk's start says nothing
+    columns = [t] if r == 1 else [np.ones(len(t)), t]  # the start of a random walk says nothing
     design, target = np.column_stack([quasi_difference(column) for column in columns]), quasi_difference(y)
     fit = np.linalg.lstsq(design, target, rcond=None)[0]
     freedom = len(t) - 2
@@ -63,7 +63,7 @@ def trend(seconds: np.ndarray, values: np.ndarray, blocks: int = BLOCKS) -> Tren
 
 
 def _autoregression(residuals: np.ndarray) -> float:
-    """First-order coefficient of the residuals (n,) of a line, freed of its bias -(2 + 4 r) / n; 1 where it is near one."""
+    """Estimate the first-order coefficient of a line's residuals (n,) without its bias -(2 + 4 r) / n. Near one, it is 1."""
     power, n = float(residuals[:-1] @ residuals[:-1]), len(residuals)
     r = float(residuals[1:] @ residuals[:-1]) / power if power else 0.0
     r += (2 + 4 * r) / n
@@ -72,12 +72,11 @@ def _autoregression(residuals: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class SoakFigures:
-    """What :func:`soak` found in the ``minutes`` after the ``warm_up`` s: own ``memory`` KiB a minute; ``frames`` of both.
+    """Figures from :func:`soak` for the ``minutes`` after the ``warm_up`` seconds.
 
-    The others are (lowest, highest).
-
-    ``resident_mib`` counts the pages of program files as well, which the kernel maps and drops as it likes: by 3 MiB within
-    20 s while nothing of ours changed.
+    ``memory`` is the trend of the process's own memory, KiB per minute. ``frames`` includes the warm-up. Pairs are the lowest
+    and the highest value. ``resident_mib`` also counts the pages of program files, which the kernel maps and drops as it
+    likes. It was seen to change by 3 MiB within 20 s while nothing of ours changed.
     """
 
     minutes: float
@@ -93,11 +92,11 @@ class SoakFigures:
 
     @property
     def passed(self) -> bool:
-        """No trend in memory, constant counts."""
+        """Whether memory has no trend and the counts are constant."""
         return self.memory.zero and len(set(self.threads)) == len(set(self.handles)) == 1
 
     def table(self) -> str:
-        """For people."""
+        """Format the figures for people."""
         low, high = self.memory_mib
         verdict = "zero within its error" if self.memory.zero else "NOT zero"
         return (
@@ -121,19 +120,40 @@ def soak(
     every: float = 1.0,
     tick: Callable[[float], None] = lambda s: None,
 ) -> tuple[SoakFigures, np.ndarray]:
-    """Run the chain at full speed, sample memory, threads and handles ``every`` so many seconds, judge the last ``minutes``.
+    """Run the chain at full speed, and judge memory, threads and handles in the last ``minutes``.
 
-    Returns the figures and the samples (n, 5): seconds, own and resident bytes, threads, file handles. Raises
-    :class:`MissingExtraError` without psutil.
+    Parameters
+    ----------
+    minutes : float
+        Length of the judged time, after the warm-up.
+    make_detector : callable
+        Makes the feature detector.
+    frames : int
+        Number of rendered frames, which are played again and again.
+    every : float
+        Time between two samples, s.
+    tick : callable
+        ``tick(elapsed)`` is called with every sample.
+
+    Returns
+    -------
+    figures : SoakFigures
+    samples : (n, 5) array
+        Seconds, own bytes, resident bytes, threads and file handles.
+
+    Raises
+    ------
+    MissingExtraError
+        psutil is not installed.
     """
     sample, count, taken = _sampler(), [0, 0], 0
-    # All in memory before the first sample: a list that grew by one row a second would be the trend that is found.
+    # The array is complete before the first sample, because a growing list would itself be a trend.
     rows = np.full((int(_total_seconds(minutes) / every) + 2, 5), np.nan)
     actor, sensor = live_scene(FastDriver, frames)
     detector = make_detector()
 
     def note(result) -> None:
-        """Count the frames, and those without a face."""
+        """Count all frames, and those without a face."""
         count[0] += 1
         count[1] += not result.tracked.tracked
 
@@ -152,7 +172,7 @@ def soak(
 
 
 def _total_seconds(minutes: float) -> float:
-    """Warming up included."""
+    """Return the seconds of the whole run with its warm-up."""
     return 60 * minutes + min(WARM_UP_SHARE * 60 * minutes, WARM_UP_MOST)
 
 
@@ -162,7 +182,7 @@ def _figures(rows: np.ndarray, minutes: float, count: list[int]) -> SoakFigures:
     t, memory, resident, threads, handles = rows[rows[:, 0] >= warm_up].T
 
     def mib(values: np.ndarray) -> tuple[float, float]:
-        """Lowest and highest of bytes (n,), MiB."""
+        """Return the lowest and the highest of bytes (n,) in MiB."""
         return round(values.min() / 2**20, 2), round(values.max() / 2**20, 2)
 
     return SoakFigures(
@@ -188,9 +208,9 @@ def _sampler() -> Callable[[], tuple[int, int, int, int]]:
     handles = getattr(process, "num_fds", None) or process.num_handles
 
     def sample() -> tuple[int, int, int, int]:
-        """Own and resident bytes, threads, file handles."""
+        """Return own bytes, resident bytes, threads and file handles."""
         info = process.memory_info()
-        # On Linux what is resident and not shared is what the process allocated; elsewhere psutil's "unique set".
+        # On Linux, memory that is resident and not shared was allocated by the process. Elsewhere, the "unique set" counts.
         own = info.rss - info.shared if hasattr(info, "shared") else process.memory_full_info().uss
         return own, info.rss, process.num_threads(), handles()
 
@@ -198,7 +218,7 @@ def _sampler() -> Callable[[], tuple[int, int, int, int]]:
 
 
 def run_soak(minutes: float, as_json: bool = False) -> int:
-    """``adaptiveface bench --soak MINUTES``: 0 when nothing grows in MINUTES after the warm-up, else 1."""
+    """Run ``adaptiveface bench --soak MINUTES``, and return 0 if nothing grows in MINUTES after the warm-up, else 1."""
     from tqdm import tqdm
 
     with tqdm(total=round(_total_seconds(minutes)), desc="soak", unit="s", leave=False, disable=None) as bar:

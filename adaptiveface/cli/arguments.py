@@ -19,7 +19,7 @@ def add_command(commands, name: str) -> argparse.ArgumentParser:
 
 
 def add_source(command: argparse.ArgumentParser) -> None:
-    """``SOURCE``, which has numbered frames, and how to see its pictures."""
+    """Add ``SOURCE``, which has numbered frames, and the options that say how to read its pictures."""
     text = "folder of a recording, a video (colour only), or synthetic[:SEED[:NOISE]][@take.csv]"
     command.add_argument("source", metavar="SOURCE", help=text)
     add_field_of_view(command)
@@ -27,14 +27,14 @@ def add_source(command: argparse.ArgumentParser) -> None:
 
 
 def add_mirrored(command: argparse.ArgumentParser) -> None:
-    """``--mirrored``, which :func:`source_name` reads."""
+    """Add ``--mirrored``, which :func:`source_name` reads."""
     command.add_argument(
         "--mirrored", action="store_true", help="flip the pictures: they were recorded as in a mirror, like selfie videos"
     )
 
 
 def source_name(args: argparse.Namespace) -> str:
-    """The name under which the source or sensor is opened."""
+    """Return the name under which the source or sensor is opened."""
     from ..sensors.orientation import MIRRORED
 
     name = args.source if hasattr(args, "source") else args.sensor
@@ -53,7 +53,7 @@ def opened(text: str, field_of_view: float | None = None):
 
 
 def add_performer(command: argparse.ArgumentParser, seed: int) -> None:
-    """``--seed`` and ``--noise`` of a synthetic performance."""
+    """Add ``--seed`` and ``--noise`` of a synthetic performance."""
     number = "number of the performer (default: %(default)s)"
     command.add_argument("--seed", type=whole(0, 10**9), default=seed, metavar="N", help=number)
     noise = "noise of the depth camera: structured-light, truedepth or none (default: %(default)s)"
@@ -61,13 +61,13 @@ def add_performer(command: argparse.ArgumentParser, seed: int) -> None:
 
 
 def add_notebook_folder(command: argparse.ArgumentParser) -> None:
-    """``--dir``."""
+    """Add ``--dir``."""
     text = "folder of the notebooks (default: %(default)s)"
     command.add_argument("--dir", type=Path, default=Path("adaptiveface-notebooks"), metavar="DIR", help=text)
 
 
 def add_settings(command: argparse.ArgumentParser) -> None:
-    """``--set stage.name=value``, which :func:`parameters` reads."""
+    """Add ``--set stage.name=value``, which :func:`parameters` reads."""
     command.add_argument(
         "--set",
         nargs="+",
@@ -79,10 +79,10 @@ def add_settings(command: argparse.ArgumentParser) -> None:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """The argparse type of a whole number between ``low`` and ``high``."""
+    """Make the argparse type of a whole number between ``low`` and ``high``."""
 
     def whole_number(text: str) -> int:
-        """The number, or argparse's error."""
+        """Return the number, or raise argparse's error."""
         if not (text.isascii() and text.isdecimal() and low <= int(text[:12]) <= high and len(text) <= 12):
             raise argparse.ArgumentTypeError(f"{text!r} is not a whole number between {low} and {high}")
         return int(text)
@@ -91,7 +91,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def neutral_frames(text: str) -> int | range:
-    """The argparse type of ``--neutral-frames``: a number such as ``40``, or a range such as ``100:140`` (without 140)."""
+    """Read the value of ``--neutral-frames``: a number such as ``40``, or a range such as ``100:140`` (without 140)."""
     first, colon, last = text.partition(":")
     if not colon:
         return whole(1, 99_999)(text)
@@ -102,7 +102,7 @@ def neutral_frames(text: str) -> int | range:
 
 
 def add_neutral_frames(command: argparse.ArgumentParser, default: int | None = 40) -> None:
-    """``--neutral-frames N`` or ``FIRST:LAST``."""
+    """Add ``--neutral-frames N`` or ``FIRST:LAST``."""
     text = "frames that show the resting face: the first N, or those of a range (default: %(default)s); a video needs none"
     command.add_argument(
         "--neutral-frames",
@@ -114,7 +114,7 @@ def add_neutral_frames(command: argparse.ArgumentParser, default: int | None = 4
 
 
 def parameters(settings: list[str]):
-    """The :class:`~adaptiveface.parameters.Parameters` that ``--set`` asks for; raises :class:`ParameterError`."""
+    """Make the :class:`~adaptiveface.parameters.Parameters` that ``--set`` asks for. Raises :class:`ParameterError`."""
     from ..parameters import Parameters
 
     values = {}
@@ -127,10 +127,10 @@ def parameters(settings: list[str]):
 
 
 def several(low: int, high: int) -> Callable[[str], list[int]]:
-    """The argparse type of two or more ascending whole numbers between ``low`` and ``high``, separated by commas."""
+    """Make the argparse type of two or more ascending whole numbers between ``low`` and ``high``, separated by commas."""
 
     def whole_numbers(text: str) -> list[int]:
-        """The numbers, or argparse's error."""
+        """Return the numbers, or raise argparse's error."""
         numbers = [whole(low, high)(part) for part in text.split(",")]
         if len(numbers) < 2 or numbers != sorted(set(numbers)):
             raise argparse.ArgumentTypeError(f"{text!r} is not two or more ascending numbers")

@@ -24,7 +24,7 @@ from .arguments import (
 
 
 def add_demo(commands) -> None:
-    """``demo``."""
+    """Add the command ``demo``."""
     demo = add_command(commands, "demo")
     demo.add_argument(
         "--out", type=Path, default=Path("adaptiveface-demo"), metavar="DIR", help="folder to write to (default: %(default)s)"
@@ -45,7 +45,7 @@ def add_demo(commands) -> None:
 
 
 def run_demo(args: argparse.Namespace) -> int:
-    """``demo``: capture, track and score a synthetic performer, and write actor, result and report to a folder."""
+    """Run ``demo``: capture, track and score a synthetic performer, and write actor, result and report to a folder."""
     start = time.perf_counter()
     chosen = parameters(args.set)
     _check_demo(args)
@@ -102,7 +102,7 @@ def _check_demo(args: argparse.Namespace) -> None:
 
 
 def add_capture(commands) -> None:
-    """``capture``."""
+    """Add the command ``capture``."""
     capture = add_command(commands, "capture")
     add_source(capture)
     capture.add_argument("--out", type=Path, required=True, metavar="actor.npz", help="file to write")
@@ -112,7 +112,7 @@ def add_capture(commands) -> None:
 
 
 def run_capture(args: argparse.Namespace) -> int:
-    """``capture SOURCE --out actor.npz``."""
+    """Run ``capture SOURCE --out actor.npz``."""
     chosen = parameters(args.set)
     check_output(args.out, "actor", [args.source])
     from ..pipeline import capture_from
@@ -126,7 +126,7 @@ def run_capture(args: argparse.Namespace) -> int:
 
 
 def add_track(commands) -> None:
-    """``track``."""
+    """Add the command ``track``."""
     track = add_command(commands, "track")
     add_source(track)
     track.add_argument("--out", type=Path, required=True, metavar="result.npz", help="file to write")
@@ -147,7 +147,7 @@ def add_track(commands) -> None:
 
 
 def run_track(args: argparse.Namespace) -> int:
-    """``track SOURCE --out result.npz``."""
+    """Run ``track SOURCE --out result.npz``."""
     chosen = parameters(args.set)
     inputs = [args.source, args.actor]
     check_output(args.out, "result", inputs)
@@ -167,7 +167,7 @@ def run_track(args: argparse.Namespace) -> int:
     still_frames = 0
 
     def on_take(take) -> None:
-        """Remember how many leading frames are neutral: the report measures the jitter in them."""
+        """Remember how many leading frames are neutral, because the report measures the jitter in them."""
         nonlocal still_frames
         still_frames = len(take.frames) if take.leading else 0
 
@@ -210,14 +210,14 @@ def _report(result, source, actor, folder: Path, **options) -> None:
 
 
 def add_export(commands) -> None:
-    """``export``."""
+    """Add the command ``export``."""
     export = add_command(commands, "export")
     add_export_arguments(export)
     export.set_defaults(run=run_export)
 
 
 def run_export(args: argparse.Namespace) -> int:
-    """``export result.npz``."""
+    """Run ``export result.npz``."""
     from ..export.command import run_export as run
 
     return run(args)

@@ -70,7 +70,7 @@ def _truth(text: str) -> GroundTruth:
 
 
 def mean_table(rows: Sequence[dict]) -> str:
-    """Mean of each figure over the rows that have it, with its 95 % interval from a bootstrap over the rows."""
+    """Format the mean of each figure over the rows that have it, with its 95 % interval from a bootstrap over the rows."""
     lines = [f"{'mean over ' + str(len(rows)) + ' runs':<24} {'mean':>8}   95 % interval"]
     for name in dict.fromkeys(name for row in rows for name in row):
         values = [row[name] for row in rows if isinstance(row.get(name), float) and math.isfinite(row[name])]

@@ -22,7 +22,7 @@ from .arguments import (
 
 
 def add_record(commands) -> None:
-    """``record``."""
+    """Add the command ``record``."""
     record = add_command(commands, "record")
     record.add_argument("source", metavar="SOURCE", help="a sensor (synthetic, realsense, ...) or a recording")
     record.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder to write to")
@@ -33,14 +33,14 @@ def add_record(commands) -> None:
 
 
 def run_record(args: argparse.Namespace) -> int:
-    """``record SOURCE``."""
+    """Run ``record SOURCE``."""
     from ..sensors.record import run_record as run
 
     return run(args)
 
 
 def add_convert(commands) -> None:
-    """``convert``."""
+    """Add the command ``convert``."""
     convert = add_command(commands, "convert")
     convert.add_argument("file", type=Path, metavar="FILE", help="recording of another program or SDK")
     convert.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder to write to")
@@ -48,14 +48,14 @@ def add_convert(commands) -> None:
 
 
 def run_convert(args: argparse.Namespace) -> int:
-    """``convert FILE``."""
+    """Run ``convert FILE``."""
     from ..sensors.record import run_convert as run
 
     return run(args)
 
 
 def add_stream(commands) -> None:
-    """``stream``."""
+    """Add the command ``stream``."""
     stream = add_command(commands, "stream")
     add_source(stream)
     add_stream_arguments(stream)
@@ -65,7 +65,7 @@ def add_stream(commands) -> None:
 
 
 def run_stream(args: argparse.Namespace) -> int:
-    """``stream SOURCE``: track and send every frame. The curves of a take or of a phone are sent as they are."""
+    """Run ``stream SOURCE``: track and send every frame. The curves of a take or of a phone are sent as they are."""
     from ..livelink.receiver import is_livelink
     from ..livelink.take import is_take
 
@@ -93,7 +93,7 @@ def run_stream(args: argparse.Namespace) -> int:
 
 
 def add_live(commands) -> None:
-    """``live``."""
+    """Add the command ``live``."""
     live = add_command(commands, "live")
     live.add_argument(
         "sensor",
@@ -118,7 +118,7 @@ def add_live(commands) -> None:
 
 
 def run_live(args: argparse.Namespace) -> int:
-    """``live [SENSOR]``."""
+    """Run ``live [SENSOR]``."""
     from ..live.command import run_live as run
     from ..livelink.receiver import is_livelink
 

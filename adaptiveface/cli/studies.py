@@ -15,7 +15,7 @@ PAPER_FIGURES = (3, 4, 5, 6, 7, 8, 9, 10, 11)
 
 
 def add_batch(commands) -> None:
-    """``batch``."""
+    """Add the command ``batch``."""
     batch = add_command(commands, "batch")
     batch.add_argument("sources", metavar="FOLDER_OR_LIST", help="a folder of recordings, or a text file that lists them")
     batch.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results, tables and index.html")
@@ -55,7 +55,7 @@ def add_batch(commands) -> None:
 
 
 def run_batch(args: argparse.Namespace) -> int:
-    """``batch FOLDER_OR_LIST --out DIR``. The exit status is 1 if a recording failed."""
+    """Run ``batch FOLDER_OR_LIST --out DIR``. The exit status is 1 if a recording failed."""
     from ..batch import Batch, dask_client, expand, find_sources, parse_sweep
     from ..model.actor import Actor
 
@@ -89,7 +89,7 @@ def run_batch(args: argparse.Namespace) -> int:
 
 
 def add_evaluate(commands) -> None:
-    """``evaluate``."""
+    """Add the command ``evaluate``."""
     evaluate = add_command(commands, "evaluate")
     evaluate.add_argument(
         "pairs",
@@ -107,7 +107,7 @@ def add_evaluate(commands) -> None:
 
 
 def run_evaluate(args: argparse.Namespace) -> int:
-    """``evaluate RESULT TRUTH [RESULT TRUTH ...]``."""
+    """Run ``evaluate RESULT TRUTH [RESULT TRUTH ...]``."""
     from .scores import compare_runs
 
     if len(args.pairs) % 2:
@@ -116,7 +116,7 @@ def run_evaluate(args: argparse.Namespace) -> int:
 
 
 def add_paper(commands) -> None:
-    """``paper``."""
+    """Add the command ``paper``."""
     paper = add_command(commands, "paper")
     paper.add_argument(
         "--figure",
@@ -145,7 +145,7 @@ def add_paper(commands) -> None:
 
 
 def run_paper(args: argparse.Namespace) -> int:
-    """``paper [--figure N ...] [--out DIR]``."""
+    """Run ``paper [--figure N ...] [--out DIR]``."""
     from ..studies import paper_figure
 
     check_folder(args.out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-#: Command -> a phrase for the list of commands and for its own page, sentences for its own page, and an example or "".
+#: For each command: a phrase for the list of commands and its own page, sentences for its own page, and an example or "".
 TEXTS: dict[str, tuple[str, str, str]] = {
     "demo": (
         "run the whole pipeline on a synthetic performer and write a report",

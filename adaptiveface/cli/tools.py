@@ -9,7 +9,7 @@ from .arguments import add_command, add_notebook_folder, several, whole
 
 
 def add_bench(commands) -> None:
-    """``bench``."""
+    """Add the command ``bench``."""
     bench = add_command(commands, "bench")
     bench.add_argument("--frames", type=whole(10, 10_000), metavar="N", help="synthetic frames to time")
     bench.add_argument(
@@ -33,14 +33,14 @@ def add_bench(commands) -> None:
 
 
 def run_bench(args: argparse.Namespace) -> int:
-    """``bench``: time every stage on a synthetic performance, beside the paper's figures and other libraries."""
+    """Run ``bench``: time every stage on a synthetic performance, beside the paper's figures and other libraries."""
     from ..bench import run_bench as run
 
     return run(args)
 
 
 def add_lab(commands) -> None:
-    """``lab``."""
+    """Add the command ``lab``."""
     lab = add_command(commands, "lab")
     add_notebook_folder(lab)
     lab.add_argument(
@@ -51,14 +51,14 @@ def add_lab(commands) -> None:
 
 
 def run_lab(args: argparse.Namespace) -> int:
-    """``lab``."""
+    """Run ``lab``."""
     from ..lab import open_lab
 
     return open_lab(args.dir, args.port, not args.no_browser)
 
 
 def add_exercises(commands) -> None:
-    """``exercises``."""
+    """Add the command ``exercises``."""
     exercises = add_command(commands, "exercises")
     todo = exercises.add_mutually_exclusive_group()
     todo.add_argument("--student", type=Path, metavar="DIR", help="write the notebooks without solutions to a new folder")
@@ -75,7 +75,7 @@ def add_exercises(commands) -> None:
 
 
 def run_exercises(args: argparse.Namespace) -> int:
-    """``exercises``."""
+    """Run ``exercises``."""
     from ..exercises import EXERCISES, classroom
 
     if args.student:
@@ -101,14 +101,14 @@ def run_exercises(args: argparse.Namespace) -> int:
 
 
 def add_doctor(commands) -> None:
-    """``doctor``."""
+    """Add the command ``doctor``."""
     doctor = add_command(commands, "doctor")
     doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
     doctor.set_defaults(run=run_doctor)
 
 
 def run_doctor(args: argparse.Namespace) -> int:
-    """``doctor``. The exit status is 0 if everything that is needed works, else 1."""
+    """Run ``doctor``. The exit status is 0 if everything that is needed works, else 1."""
     from ..doctor import run_doctor as run
 
     return run(args.json)

@@ -11,24 +11,24 @@ from .opencv_files import opencv
 from .places import caches
 from .software import browser, graphics, optional, sensors, versions
 
-#: In the order of the output.
+#: The checks in the order of the output.
 CHECKS: tuple[Callable[[], list[Finding]], ...] = (versions, opencv, optional, sensors, graphics, browser, caches)
 _SIGNS = {OK: "  ok  ", NOTE: "  -   ", FAULT: "  !!  "}
 
 
 def examine() -> list[Finding]:
-    """Everything that was found; a check that fails itself is a finding, too."""
+    """Run every check and return the findings. A check that fails itself is also a finding."""
     found = []
     for check in CHECKS:
         try:
             found += check()
-        except Exception as error:  # the doctor must not die of what it looks for
+        except Exception as error:  # the doctor must survive what it looks for
             found.append(Finding(check.__name__, check.__name__, FAULT, f"could not be examined ({error})"))
     return found
 
 
 def report(findings: list[Finding]) -> str:
-    """The findings as text for people, by group."""
+    """Format the findings for people, by group."""
     lines, group = [], ""
     for finding in findings:
         if finding.group != group:
@@ -42,7 +42,7 @@ def report(findings: list[Finding]) -> str:
 
 
 def run_doctor(as_json: bool = False) -> int:
-    """Print what was found; 0 when all that is needed works, else 1."""
+    """Print the findings, and return 0 if everything that is needed works, else 1."""
     findings = examine()
     print(json.dumps([dataclasses.asdict(f) for f in findings], indent=1) if as_json else report(findings))
     return int(any(finding.state == FAULT for finding in findings))

@@ -1,4 +1,4 @@
-"""One line of the doctor's report, and how the installed software is asked."""
+"""Hold one line of the doctor's report, and ask the installed software."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SECONDS = 60
 
 @dataclass(frozen=True)
 class Finding:
-    """``state``: :data:`OK`; :data:`NOTE`, something optional is absent; :data:`FAULT`. ``fix``: what to do, or ""."""
+    """One finding. ``state`` is :data:`OK`, :data:`NOTE` (optional and absent) or :data:`FAULT`. ``fix`` says what to do."""
 
     group: str
     name: str
@@ -24,7 +24,7 @@ class Finding:
 
 
 def installed(distribution: str) -> str | None:
-    """The version of an installed distribution; None without it."""
+    """Return the version of a distribution, or None if it is not installed."""
     try:
         return version(distribution)
     except PackageNotFoundError:
@@ -32,7 +32,7 @@ def installed(distribution: str) -> str | None:
 
 
 def importable(module: str) -> bool:
-    """Whether a module is there; it is not loaded."""
+    """Whether a module is installed. It is not loaded."""
     try:
         return find_spec(module) is not None
     except (ImportError, ValueError):
@@ -40,7 +40,7 @@ def importable(module: str) -> bool:
 
 
 def failure(statement: str) -> str | None:
-    """Why a statement fails in a Python of its own, in one line; None when it does not. Broken libraries crash."""
+    """Say in one line why a statement fails, or return None. It runs in a process of its own, as broken libraries crash."""
     try:
         run = subprocess.run(
             [sys.executable, "-c", statement],

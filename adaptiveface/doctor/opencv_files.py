@@ -1,4 +1,4 @@
-"""Whether one OpenCV is installed, and whole: its four distributions share the folder ``cv2`` and overwrite each other."""
+"""Check that OpenCV is installed once and whole. Its four distributions share the folder ``cv2`` and overwrite each other."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from importlib.metadata import Distribution, distributions
 
 from .finding import FAULT, NOTE, OK, Finding, failure
 
-#: The one that adaptiveface asks for: it needs no display, and has all that MediaPipe uses.
+#: The distribution that adaptiveface asks for. It needs no display, and has everything that MediaPipe uses.
 OURS = "opencv-contrib-python-headless"
 _NAMES = ("opencv-python", "opencv-contrib-python", "opencv-python-headless", OURS)
 
 
 def opencv() -> list[Finding]:
-    """The distributions of OpenCV that are installed, whose files are on the disk, and whether it loads."""
+    """Find the installed distributions of OpenCV and the one whose files are on the disk, and check that it loads."""
     found = sorted((d for d in distributions() if _name(d) in _NAMES), key=_name)
     names = [_name(d) for d in found]
     wrong = {_name(d): overwritten(d) for d in found}
@@ -40,7 +40,7 @@ def _mend(names: list[str]) -> str:
 
 
 def overwritten(distribution: Distribution) -> list[str]:
-    """Files below ``cv2`` that are missing, or not those which the distribution brought by its record."""
+    """List the files below ``cv2`` that are missing or differ from the distribution's record."""
     wrong = []
     for path in distribution.files or ():
         if path.parts[0] != "cv2" or path.hash is None or path.suffix in (".pyc", ".xml"):

@@ -1,4 +1,4 @@
-"""Where things are cached, whether that can be written, and how much is there."""
+"""Check where things are cached, whether these folders can be written, and how much they hold."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FREE = "set HOME or XDG_CACHE_HOME to a folder that can be written"
 
 
 def caches() -> list[Finding]:
-    """The cache folders, compiled code, and the detector's model."""
+    """Check the cache folders, the compiled code and the detector's model."""
     folder = cache_folder()
     findings = []
     for number, place in enumerate(cache_folders()):

@@ -1,4 +1,4 @@
-"""Versions, optional parts, the sensors' libraries, graphics, and what the notebooks need."""
+"""Check versions, optional parts, the sensors' libraries, graphics, and what the notebooks need."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from importlib.metadata import packages_distributions
 from .. import __version__
 from .finding import FAULT, NOTE, OK, Finding, failure, importable, installed
 
-#: What every command needs: distribution -> module.
+#: Distributions that every command needs, and their modules.
 NEEDED = {
     "numpy": "numpy",
     "scipy": "scipy",
@@ -26,7 +26,7 @@ NEEDED = {
     "pillow": "PIL",
     "jinja2": "jinja2",
 }
-#: extra -> (modules that it brings, what for).
+#: The modules of each extra, and their purpose.
 EXTRAS = {
     "landmarks": (("mediapipe", "av", "pooch"), "2D features in colour pictures, videos"),
     "video": (("imageio_ffmpeg",), "H.264 films"),
@@ -43,7 +43,7 @@ EXTRAS = {
     "blender": (("bpy",), "tests inside Blender"),
     "docs": (("sphinx", "myst_nb", "furo", "latex2mathml"), "building the documentation"),
 }
-#: extra -> (modules, sensor).
+#: The modules of each sensor's extra, and the sensor.
 SENSORS = {
     "realsense": (("pyrealsense2",), "RealSense D400"),
     "record3d": (("record3d", "lzfse"), "iPhone TrueDepth"),
@@ -52,15 +52,15 @@ SENSORS = {
     "oak": (("depthai",), "OAK-D"),
     "kinect2": (("kinect_next",), "Kinect v2 (Windows)"),
 }
-#: Heavy modules that are found and still do not load where the system lacks a library.
+#: Heavy modules that do not load if the system lacks a library, although they are installed.
 _LOADED = {"mediapipe": "import mediapipe.tasks.python.vision", "pyvista": "import pyvista"}
-#: They ask for a NumPy that other parts do not work with.
+#: Extras that ask for a NumPy that other parts do not work with.
 _APART = dict.fromkeys(("azure", "orbbec"), ", in an environment of its own")
 _APT = "on Debian or Ubuntu: apt install"
 
 
 def versions() -> list[Finding]:
-    """Python, adaptiveface, and what every command needs."""
+    """Check Python, adaptiveface, and what every command needs."""
     right = (3, 11) <= sys.version_info[:2] <= (3, 13)
     found = [
         Finding(
@@ -80,12 +80,12 @@ def versions() -> list[Finding]:
 
 
 def optional() -> list[Finding]:
-    """Every extra: whether it is there, and the line that installs it."""
+    """Check every extra, and give the line that installs it."""
     return [_extra("optional parts", extra, *entry) for extra, entry in EXTRAS.items()]
 
 
 def sensors() -> list[Finding]:
-    """Libraries of the sensors' makers."""
+    """Check the libraries of the sensors' makers."""
     found = [_extra("sensors", extra, *entry) for extra, entry in SENSORS.items()]
     for name, libraries, package in (
         ("Carmine, Xtion", ("libOpenNI2.so.0", "libOpenNI2.so", "libOpenNI2.dylib", "OpenNI2.dll"), "libopenni2-0"),
@@ -121,7 +121,7 @@ _distributions = functools.cache(packages_distributions)
 
 
 def graphics() -> list[Finding]:
-    """The system's libraries for drawing without a display, which MediaPipe and the notebooks' views load."""
+    """Check the system's libraries for drawing without a display, which MediaPipe and the notebooks' views load."""
     if not sys.platform.startswith("linux"):
         return [Finding("graphics", "OpenGL", OK, "part of the system")]
     found = []
@@ -139,7 +139,7 @@ def graphics() -> list[Finding]:
 
 
 def browser() -> list[Finding]:
-    """What the notebooks need besides Python: a browser on this machine, or a tunnel to it."""
+    """Check what the notebooks need besides Python: a browser on this machine, or a tunnel to it."""
     names = ("chromium", "google-chrome", "firefox", "microsoft-edge", "safari")
     there = next(filter(None, map(shutil.which, names)), None) or ("" if sys.platform.startswith("linux") else "the system's")
     fix = "" if there else "adaptiveface lab --no-browser, and ssh -L 8888:localhost:8888 from a machine with one"

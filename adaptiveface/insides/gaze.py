@@ -109,7 +109,7 @@ class GazeEstimator:
 
 
 def _direction(insides: Insides, pixel: np.ndarray, pose: np.ndarray, camera: Camera, side: int) -> np.ndarray:
-    """(2,) yaw and pitch, rad, of an eye with its iris at ``pixel``; NaN if it misses the ball or the turn is too large."""
+    """Find yaw and pitch (2,) of an eye with its iris at ``pixel``, rad. They are NaN for a missed ball or too large a turn."""
     ray = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0])
     ray = pose[:3, :3].T @ (ray / np.linalg.norm(ray))
     start = -pose[:3, :3].T @ pose[:3, 3] - insides.eye_centres[side]
@@ -178,7 +178,7 @@ class GazeTrack:
         return bool(self._begun.any())
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """``gaze`` (F, 2, 2) float32, rad, and ``gaze_known`` (F, 2) bool for a result; empty if no iris was ever seen."""
+        """Return ``gaze`` (F, 2, 2) float32, rad, and ``gaze_known`` (F, 2) bool for a result, or {} if no iris was seen."""
         if not self.begun or not self._kept:
             return {}
         gaze, known = zip(*self._kept, strict=True)

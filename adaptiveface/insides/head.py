@@ -86,7 +86,7 @@ class Insides:
         return placed(self.rest, self.part, *self.motion(skin, gaze))
 
     def motion(self, skin: np.ndarray, gaze: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Placements (4, 3, 4) of the rigid :data:`PARTS` and soft vertices (n, 3), mm; parameters as for :meth:`at`."""
+        """Return placements (4, 3, 4) of the rigid :data:`PARTS` and soft vertices (n, 3), mm, given what :meth:`at` takes."""
         turns = np.zeros((2, 2)) if gaze is None else gaze
         placements, soft = np.zeros((len(PARTS), 3, 4)), []
         for side, number in enumerate((LEFT_EYE, RIGHT_EYE)):
@@ -105,7 +105,7 @@ class Insides:
         return placements, np.concatenate(soft)
 
     def retreat(self, skin: np.ndarray, side: int) -> float:
-        """Distance, mm, by which an eyeball moves back for its lids, as eyes do in a blink."""
+        """Return the distance by which an eyeball moves back for its lids, mm, as eyes do in a blink."""
         arm = skin[self.lid_skin[side]] - self.eye_centres[side]
         reach = self.eye_radii[side] * (1 + CORNEA) + CLEARANCE
         inside = reach**2 - (arm[:, :2] ** 2).sum(axis=1)
@@ -124,7 +124,7 @@ class Insides:
 
 
 def placed(rest: np.ndarray, part: np.ndarray, placements: np.ndarray, soft: np.ndarray) -> np.ndarray:
-    """(P, 3) vertices, mm, of the parts of :class:`Insides`, placed by the result of :meth:`Insides.motion`."""
+    """Place the parts of :class:`Insides` by the result of :meth:`Insides.motion`, and return their vertices (P, 3) mm."""
     out = np.empty_like(rest)
     for number, placement in enumerate(placements):
         rows = part == number
@@ -134,14 +134,14 @@ def placed(rest: np.ndarray, part: np.ndarray, placements: np.ndarray, soft: np.
 
 
 def moved(motion: tuple[np.ndarray, np.ndarray], rotation: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The result of :meth:`Insides.motion` for a head that is rotated by (3, 3) and then shifted by (3,) mm."""
+    """Turn the result of :meth:`Insides.motion` with a head that is rotated by (3, 3) and then shifted by (3,) mm."""
     placements, soft = rotation @ motion[0], motion[1] @ rotation.T + shift
     placements[:, :, 3] += shift
     return placements, soft
 
 
 def teeth_retreat(row: np.ndarray, lips: np.ndarray) -> float:
-    """Distance, mm, by which teeth (n, 3) move back for lips (m, 3) that roll in over them."""
+    """Return the distance by which teeth (n, 3) move back for lips (m, 3) that roll in over them, mm."""
     before = row[row[:, 2] > lips[:, 2].min() - CLEARANCE]
     apart = [before[:, None, axis] - lips[None, :, axis] for axis in range(3)]
     covered = apart[0] ** 2 + apart[1] ** 2 < LIP_WIDTH**2
@@ -161,14 +161,14 @@ class Jaw:
     solve: np.ndarray
 
     def placement(self, displacement: np.ndarray) -> np.ndarray:
-        """(3, 4) motion of the jaw (opening, sideways turn, forward shift) when the skin is displaced by (N, 3) mm."""
+        """Find the motion (3, 4) of the jaw (opening, sideways turn, forward shift) if the skin is displaced by (N, 3) mm."""
         opened, turned, forward = self.solve @ displacement[self.chin].ravel()
         rotation = rotation_vector_matrix(np.array([opened, turned, 0.0]))
         return np.column_stack([rotation, self.hinge - rotation @ self.hinge + [0.0, 0.0, forward]])
 
 
 def gaze_rotation(yaw: float, pitch: float) -> np.ndarray:
-    """(3, 3) rotation of an eyeball in the head frame by yaw to the subject's left (+x) and pitch upwards, rad."""
+    """Make the (3, 3) rotation of an eyeball in the head frame by yaw to the subject's left (+x) and pitch upwards, rad."""
     return rotation_vector_matrix(np.array([0.0, yaw, 0.0])) @ rotation_vector_matrix(np.array([-pitch, 0.0, 0.0]))
 
 
@@ -229,7 +229,9 @@ def make_insides(neutral: np.ndarray, triangles: np.ndarray, iris: tuple[int, in
 
 
 def _eyes(model: FaceModel, eyes: np.ndarray, neutral: np.ndarray, lids) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (2, 3) and radii (2,), mm, of the model's mean ``eyes`` (E, 3), scaled and moved to lie behind the lids.
+    """Scale and move the model's mean ``eyes`` (E, 3) so that they lie behind the lids, and fit spheres to them.
+
+    Returns their centres (2, 3) and radii (2,), mm.
 
     The eyeballs are translated, not rotated. A rotation fitted to the small rim of the lids follows the slope of the lids.
     It would move the centre, 15 mm behind the lids, up by several millimetres on some real heads, and the eyes would look up.
@@ -251,26 +253,29 @@ def _eyes(model: FaceModel, eyes: np.ndarray, neutral: np.ndarray, lids) -> tupl
 
 
 def _near(neutral: np.ndarray, loop: np.ndarray) -> np.ndarray:
-    """Numbers of the skin's vertices within 30 mm of the middle of an eye's rim."""
+    """Find the vertices of the skin within 30 mm of the middle of an eye's rim."""
     return np.flatnonzero(np.linalg.norm(neutral - neutral[loop].mean(axis=0), axis=1) < 30.0)
 
 
 def _iris_height(rim: np.ndarray, x: float) -> float:
-    """Height, mm, of an iris that looks ahead at ``x`` between lids (n, 3). The upper lid covers more of it than the lower."""
+    """Find the height of an iris that looks ahead at ``x`` between lids (n, 3), mm. The upper lid covers more of it."""
     near = rim[np.abs(rim[:, 0] - x) < IRIS_RADIUS]
     middle = 0.5 * (near[:, 1].max() + near[:, 1].min())
     return float(middle + IRIS_RISE)
 
 
 def sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of the least-squares sphere through points (n, 3)."""
+    """Fit a sphere to points (n, 3) by least squares, and return its centre (3,) and radius."""
     system = np.column_stack([2 * points, np.ones(len(points))])
     solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
     return solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
 
 
 def _mouth_parts(marks: np.ndarray):
-    """Upper row (n, 3), lower row (n, 3), their triangles and colours, and the tongue, placed by the lips' landmarks."""
+    """Place the rows of teeth and the tongue by the lips' landmarks.
+
+    Returns the upper row (n, 3), the lower row (n, 3), their triangles and colours, and the tongue.
+    """
     place = {int(number): marks[k] for k, number in enumerate(FEATURE_IDS)}
     size = float(np.linalg.norm(place[60] - place[64])) / 45.0
     line = 0.5 * (place[62] + place[66])
@@ -287,7 +292,7 @@ def _mouth_parts(marks: np.ndarray):
 
 @lru_cache(maxsize=1)
 def _openings() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertex numbers, in order, of the rims of the left eye, the right eye and the mouth in the embedded model's mesh."""
+    """Find the rims of the left eye, the right eye and the mouth in the embedded model's mesh, as vertices in order."""
     model = embedded_face_model()
     marks = surface_points(model.mean, model.feature_triangles, model.feature_weights)
     loops = boundary_loops(model.triangles, len(model.mean))
@@ -298,7 +303,7 @@ def _openings() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _jaw(model: FaceModel, neutral: np.ndarray) -> Jaw:
-    """The hinge of the model's jaw-open unit, moved with the chin of this head."""
+    """Find the hinge of the model's jaw-open unit, and move it with the chin of this head."""
     unit = model.expressions[model.expression_names.index("jawOpen")]
     chord, middle = unit[:, 1:], model.mean[:, 1:] + 0.5 * unit[:, 1:]
     length = np.linalg.norm(chord, axis=1)
@@ -312,7 +317,7 @@ def _jaw(model: FaceModel, neutral: np.ndarray) -> Jaw:
 
 
 def _closed(rings: int, count: int) -> np.ndarray:
-    """Triangles of rings of ``count`` vertices each; one more vertex closes the last ring."""
+    """Make triangles between rings of ``count`` vertices each. One more vertex closes the last ring."""
     k = np.arange(count)
     end = np.stack([(rings - 1) * count + k, np.full(count, rings * count), (rings - 1) * count + (k + 1) % count], axis=1)
     return np.concatenate([strip(rings, count, closed=True), end])

@@ -18,7 +18,7 @@ TEETH, ACROSS = 14, 6
 
 
 def strip(rows: int, columns: int, closed: bool = False) -> np.ndarray:
-    """(t, 3) triangles between ``rows`` rows of ``columns`` points each; ``closed`` joins the ends of the rows."""
+    """Make (t, 3) triangles between ``rows`` rows of ``columns`` points each. ``closed`` joins the ends of the rows."""
     r, c = np.meshgrid(np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij")
     here, right = (r * columns + c).ravel(), (r * columns + (c + 1) % columns).ravel()
     pair = [[here, here + columns, right + columns], [here, right + columns, right]]
@@ -26,7 +26,7 @@ def strip(rows: int, columns: int, closed: bool = False) -> np.ndarray:
 
 
 def eyeball_mesh(iris: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (n, 3), triangles (t, 3) and colours (n, 3) in 0..255 of an eyeball of radius 1 that looks along +z."""
+    """Build an eyeball of radius 1 that looks along +z: vertices (n, 3), triangles (t, 3) and colours (n, 3) in 0..255."""
     angle = np.radians(np.array(RINGS))
     around = 2 * np.pi * np.arange(SECTORS) / SECTORS
     ring = np.stack([np.cos(around), np.sin(around), np.zeros(SECTORS)], axis=1)
@@ -63,7 +63,7 @@ def teeth_mesh(half_width: float, depth: float, height: float) -> tuple[np.ndarr
     half_width, depth : float
         Half-axes of the arch, to the sides and backwards, mm.
     height : float
-        Of the front teeth, mm.
+        Height of the front teeth, mm.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def teeth_mesh(half_width: float, depth: float, height: float) -> tuple[np.ndarr
 
 
 def tongue_mesh(half_width: float, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (n, 3) mm, triangles (t, 3) and colours (n, 3) of a tongue that extends from its tip, the origin, along -z."""
+    """Build a tongue that extends from its tip, the origin, along -z: vertices (n, 3) mm, triangles (t, 3), colours (n, 3)."""
     along = np.linspace(0.0, 1.0, 15)
     around = 2 * np.pi * np.arange(20) / 20
     rings = []
@@ -115,7 +115,7 @@ def tongue_mesh(half_width: float, length: float) -> tuple[np.ndarray, np.ndarra
 
 
 def rim_height(rim: np.ndarray) -> np.ndarray:
-    """(n,) heights in [-1, 1] along a rim (n, 3): positive on its upper half, 0 at its corners."""
+    """Return (n,) heights in [-1, 1] along a rim (n, 3). They are positive on its upper half and 0 at its corners."""
     left, right = int(rim[:, 0].argmax()), int(rim[:, 0].argmin())
     n, out = len(rim), np.zeros(len(rim))
     halves = [np.arange(a, a + (b - a) % n + 1) % n for a, b in ((left, right), (right, left))]
@@ -126,7 +126,7 @@ def rim_height(rim: np.ndarray) -> np.ndarray:
 
 
 def smooth_ring(values: np.ndarray) -> np.ndarray:
-    """Values (n, ...) along a closed ring, each averaged with its neighbours six times."""
+    """Smooth values (n, ...) along a closed ring. Each is averaged with its neighbours six times."""
     for _ in range(6):
         values = 0.25 * np.roll(values, 1, axis=0) + 0.5 * values + 0.25 * np.roll(values, -1, axis=0)
     return values

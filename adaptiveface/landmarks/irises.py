@@ -14,13 +14,13 @@ _CORNERS = np.searchsorted(FEATURE_IDS, [[42, 45], [36, 39]])
 
 
 class IrisFinder:
-    """Finds irises in the colour images of frames whose features have none; it makes its detector when first needed."""
+    """Finds irises in the colour images of frames whose features have none. A detector is made when it is first needed."""
 
     def __init__(self, detector: FeatureDetector | None = None) -> None:
         self._detector = detector
 
     def close(self) -> None:
-        """Free the detector."""
+        """Close the detector."""
         if self._detector is not None:
             self._detector.close()
             self._detector = None
@@ -38,7 +38,7 @@ class IrisFinder:
 
 
 def beside(features: Features2D, found: Features2D) -> np.ndarray | None:
-    """(2, 2) pixels of the irises of ``found``, moved so that the corners of each eye meet those of ``features``."""
+    """Return the irises (2, 2) px of ``found``, moved so that the corners of each eye meet those of ``features``."""
     if found.iris_centres is None:
         return None
     return found.iris_centres + (features.pixels[_CORNERS] - found.pixels[_CORNERS]).mean(axis=1)

@@ -25,11 +25,11 @@ PLACE_IT = (
 )
 
 _MAX_BYTES = 16 << 20
-_SECONDS = 20  # to wait for an answer
+_SECONDS = 20  # longest wait for an answer
 
 
 def face_landmarker_file() -> Path:
-    """Path of MediaPipe's ``face_landmarker.task``. First use fetches it into the user's cache or a temporary folder.
+    """Find MediaPipe's ``face_landmarker.task``. The first use fetches it into the user's cache or a temporary folder.
 
     The environment variable ``ADAPTIVEFACE_FACE_LANDMARKER`` names a local file instead.
 
@@ -56,7 +56,7 @@ def face_landmarker_file() -> Path:
 
 
 def model_files() -> list[Path]:
-    """Paths where the file may be: in the caches, including read-only ones, and in an installed package."""
+    """List the paths where the file may be: in the caches, including read-only ones, and in an installed package."""
     try:
         entries = importlib.metadata.files(PACKAGE) or ()
     except importlib.metadata.PackageNotFoundError:
@@ -84,7 +84,7 @@ def _fetch(folder: Path) -> Path:
     downloader = pooch.HTTPDownloader(timeout=_SECONDS)
     try:
         return Path(pooch.retrieve(URL, f"sha256:{SHA256}", FILE_NAME, folder, downloader=downloader))
-    except (OSError, ValueError) as error:  # requests' errors are OSErrors; an unexpected content is a ValueError
+    except (OSError, ValueError) as error:  # the errors of requests are OSErrors, and unexpected content is a ValueError
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise FeatureDetectionError(
             f"the face detector's model {FILE_NAME} could not be fetched ({reason}); {PLACE_IT}, or use a recording with "

@@ -12,12 +12,12 @@ LARGE = 0.14
 #: Side of a face's own window, as a multiple of the face's size.
 ROOM = 3.5
 
-#: A window: u, v of its first pixel, and u, v one past its last pixel.
+#: A window: u and v of its first pixel, and u and v one past its last pixel.
 Window = tuple[int, int, int, int]
 
 
 def search_windows(height: int, width: int) -> list[Window]:
-    """Overlapping squares that cover a picture of ``height`` x ``width`` pixels, the middle one first.
+    """Choose overlapping squares that cover a picture of ``height`` x ``width`` pixels, the middle one first.
 
     There are three along the longer side. If the longer side is less than 1.5 times the shorter one, there are five: the
     middle and the four corners.
@@ -33,7 +33,7 @@ def search_windows(height: int, width: int) -> list[Window]:
 
 
 def own_window(mesh: np.ndarray, height: int, width: int) -> Window | None:
-    """The window in which to search next for a face (n, 2 or more), px; None if the face is large enough without one."""
+    """Choose the window in which to search next for a face (n, 2 or more) px, or None if the face is large enough."""
     low, high = mesh[:, :2].min(axis=0), mesh[:, :2].max(axis=0)
     size = float((high - low).max())
     if float(high[0] - low[0]) > LARGE * max(height, width):

@@ -100,7 +100,7 @@ def write_report(
 def _body(
     context: Context, name: str, note: str, about_retargeting: Markup | str, correctives: np.ndarray | None
 ) -> list[Markup | str]:
-    """The sections in order."""
+    """Write the sections in order."""
     return [
         sections.heading(name, context.result.colour_only),
         sections.doubt(context),
@@ -151,7 +151,7 @@ def score(context: Context, step: int = 1) -> Evaluation:
 
 
 def _whole_mesh(correctives: np.ndarray | None, actor) -> np.ndarray | None:
-    """(K, N, 3) correctives, from that shape or from the tracker's (3n, K) columns over the n frontal vertices."""
+    """Return correctives (K, N, 3), from that shape or from the tracker's (3n, K) columns over the n frontal vertices."""
     if correctives is None or correctives.ndim == 3:
         return correctives
     out = np.zeros((correctives.shape[1], len(actor.neutral), 3))

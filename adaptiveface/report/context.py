@@ -15,7 +15,7 @@ from ..model.actor import Actor
 from ..parameters import Parameters
 from ..result import Result
 
-#: Stretches of the source to mark on time axes: (first second, last second, name).
+#: Parts of the source to mark on time axes, each with its first second, its last second and its name.
 Spans = tuple[tuple[float, float, str], ...]
 
 
@@ -23,7 +23,7 @@ class Source(Protocol):
     """A source from which frames can be read again."""
 
     def read(self, index: int) -> RgbdFrame:
-        """Frame ``index``. Raises :class:`~adaptiveface.errors.FrameError`."""
+        """Return frame ``index``. Raises :class:`~adaptiveface.errors.FrameError`."""
         ...
 
 
@@ -39,7 +39,7 @@ class Context:
     evaluation: Evaluation | None = None
 
     def frames(self, numbers: Iterable[int]) -> list[tuple[int, RgbdFrame]]:
-        """(number, frame) of the frames that can be read among ``numbers``."""
+        """Return number and frame of those among ``numbers`` that can be read."""
         read = ((number, self._frame(number)) for number in numbers)
         return [(number, frame) for number, frame in read if frame is not None]
 
@@ -52,7 +52,7 @@ class Context:
             return None
 
     def initial_vertices(self, number: int) -> np.ndarray:
-        """(N, 3) v1 = b0 + B x of a frame, camera frame, mm: as it was kept, or of its initial coefficients (section 4.2)."""
+        """Return v1 = b0 + B x of a frame in the camera frame, (N, 3) mm, as it was kept or from the initial coefficients."""
         if self.result.v1 is not None:
             return self.result.v1[number].astype(float)
         x, pose = self.result.coefficients_initial[number], self.result.head_pose[number]
@@ -61,7 +61,7 @@ class Context:
 
     @property
     def scored_times(self) -> np.ndarray:
-        """(F,) seconds of the scored frames."""
+        """The times (F,) of the scored frames, s."""
         assert self.evaluation is not None  # only charts of errors use it
         return self.result.timestamps[self.evaluation.index]
 

@@ -39,7 +39,7 @@ def expressive_frames(result: Result, count: int, spacing: int = 5) -> list[int]
 
 
 def liveliest_window(result: Result, length: int) -> range:
-    """The ``length`` consecutive frames (fewer in a shorter run) whose coefficients change most."""
+    """Choose the ``length`` consecutive frames whose coefficients change most. There are fewer frames in a shorter run."""
     length = min(length, len(result))
     change = np.abs(np.diff(result.coefficients, axis=0)).sum(axis=1)
     change[~(result.tracked[1:] & result.tracked[:-1])] = 0

@@ -22,7 +22,7 @@ INK = "#010203"
 
 @cache
 def html() -> Any:
-    """The macros of ``assets/report.html``, which return ``Markup`` and escape everything else."""
+    """Load the macros of ``assets/report.html``. They return ``Markup`` and escape everything else."""
     from jinja2 import Environment, PackageLoader
 
     loader = PackageLoader("adaptiveface", "assets")
@@ -30,7 +30,7 @@ def html() -> Any:
 
 
 def page(title: str, sections: Sequence[Markup | str]) -> str:
-    """A whole self-contained HTML document."""
+    """Build a complete HTML document without external files."""
     from markupsafe import Markup
 
     style = (files("adaptiveface") / "assets" / "report.css").read_text(encoding="utf-8")
@@ -38,14 +38,14 @@ def page(title: str, sections: Sequence[Markup | str]) -> str:
 
 
 def image_uri(pixels: np.ndarray, quality: int = 82) -> str:
-    """A data URI of (h, w, 3) RGB or (h, w, 4) RGBA uint8 pixels, as WebP."""
+    """Encode (h, w, 3) RGB or (h, w, 4) RGBA uint8 pixels as a data URI in WebP."""
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, "WEBP", quality=quality, method=4)
     return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
 def animation_uri(frames: Sequence[np.ndarray], milliseconds: int, quality: int = 62) -> str:
-    """A data URI of an endless animated WebP of (h, w, 3) uint8 frames."""
+    """Encode (h, w, 3) uint8 frames as a data URI of an endless animation in WebP."""
     first, *rest = (Image.fromarray(frame) for frame in frames)
     stream = io.BytesIO()
     first.save(stream, "WEBP", save_all=True, append_images=rest, duration=milliseconds, loop=0, quality=quality, method=2)
@@ -53,13 +53,13 @@ def animation_uri(frames: Sequence[np.ndarray], milliseconds: int, quality: int 
 
 
 def image(pixels_or_uri, alt: str, width: int | None = None) -> Markup:
-    """An ``<img>`` of pixels or of a data URI."""
+    """Build an ``<img>`` from pixels or a data URI."""
     uri = pixels_or_uri if isinstance(pixels_or_uri, str) else image_uri(pixels_or_uri)
     return html().image(uri, alt, width)
 
 
 def figure(pixels: np.ndarray, caption: str, width: int | None = None, alt: str | None = None) -> Markup:
-    """A ``<figure>`` of pixels with a caption."""
+    """Build a ``<figure>`` from pixels, with a caption."""
     return html().figure(image(pixels, caption if alt is None else alt, width), caption)
 
 

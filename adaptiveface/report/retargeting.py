@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 _BACKDROP, _SIZE, _YAW = (52, 58, 68), 230, 14.0
-#: Number of frames at the start that do not count as jitter, because pose and coefficients still settle; fewest frames needed.
+#: Number of leading frames in which pose and coefficients still settle, and smallest number of frames to measure jitter.
 _SETTLING, _FEWEST_STILL = 2, 8
 
 
 def section(context: Context, character: Character, known: KnownCoefficients | None, still_frames: int) -> Markup | str:
-    """Figure 8 on a character, the error of the coefficients if they are known, and jitter and lag of each smoothing.
+    """Write figure 8 on a character, the error of the coefficients if they are known, and jitter and lag of each smoothing.
 
-    ``still_frames`` is the number of leading frames that show a still face, or 0 if unknown.
+    ``still_frames`` is the number of leading frames that show a still face, or 0 if it is unknown.
     """
     if not context.result.tracked.any():
         return ""
@@ -54,7 +54,10 @@ def _faces(context: Context, character: Character, count: int = 3) -> Markup:
 
 
 def _driven(result, actor, character: Character, k: int, v4: np.ndarray) -> list[tuple[np.ndarray, str]]:
-    """Vertices (V, 3) of the character with captions: initial, re-solved and, if it has the actor's topology, correctives."""
+    """Drive the character with initial and re-solved coefficients and, if it has the actor's topology, with correctives.
+
+    Returns the vertices (V, 3) of each version with its caption.
+    """
     x = result.coefficients[k]
     table = arkit_weights(actor.expression_names[: len(x)])
     initial, resolved = character.shape(character.weights(table.curves(np.stack([result.coefficients_initial[k], x]))))

@@ -17,12 +17,12 @@ from .moments import expressive_frames, liveliest_window
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-#: Upper end of the heat maps of the final mesh (difference from the initial blendshape fit, error of motion), mm.
+#: Upper end of the heat maps on the final mesh, mm. They show its difference from the initial fit, and the error of motion.
 HEAT_LIMIT = 4.0
 
 
 def preview(context: Context, length: int = 75, step: int = 2, width: int = 300) -> Markup | str:
-    """An endless animation of the liveliest part: the input, the tracked mesh over it, and the mesh from the side."""
+    """Draw an endless animation of the liveliest part: the input, the tracked mesh over it, and the mesh from the side."""
     result, actor = context.result, context.actor
     read = context.frames(k for k in liveliest_window(result, length)[::step] if result.tracked[k])
     if len(read) < 2:
@@ -44,13 +44,13 @@ def preview(context: Context, length: int = 75, step: int = 2, width: int = 300)
 
 
 def legend(low: str, high: str, text: str) -> Markup:
-    """The colour scale of the heat maps, with words at its ends."""
+    """Draw the colour scale of the heat maps, with words at its ends."""
     ramp = np.repeat(heat_map(np.linspace(0, 1, 180))[None].astype(np.uint8), 12, axis=0)
     return page.html().legend(low, high, text, page.image(ramp, "colour scale"))
 
 
 def tracked_frames(context: Context, count: int = 5, width: int = 250) -> Markup | str:
-    """Rows of input, mesh over the input, and heat maps, for expressive frames that differ from each other."""
+    """Draw input, mesh over the input, and heat maps of expressive frames that differ from each other, in one row each."""
     read = context.frames(expressive_frames(context.result, count, spacing=10))
     if not read:
         return ""
@@ -88,7 +88,7 @@ def _motion_error(context: Context, k: int, final: np.ndarray) -> np.ndarray:
 
 
 def rig(context: Context) -> Markup:
-    """The personal neutral from three sides, and every personal blendshape."""
+    """Draw the personal neutral from three sides, and every personal blendshape."""
     actor = context.actor
     large, small = pictures.Portraits(actor, (230, 260), whole=True), pictures.Portraits(actor, (96, 124))
     turns = ((45, "from the right"), (0, "neutral"), (-45, "from the left"))

@@ -28,17 +28,17 @@ CORRECTIVE_SIZE = 5.0
 
 
 def heading(name: str, colour_only: bool = False) -> Markup:
-    """The title and a description of the page."""
+    """Write the title and a description of the page."""
     return page.html().heading(name, colour_only, COLOUR_ONLY)
 
 
 def doubt(context: Context) -> Markup:
-    """The warning at the top: that much of the face was not tracked, and the likely reason."""
+    """Write the warning at the top if the tracked face is doubtful, with the likely reason."""
     return page.html().doubt(context.result.doubt)
 
 
 def tiles(context: Context) -> Markup:
-    """The most important figures."""
+    """Write the most important figures."""
     result, evaluation = context.result, context.evaluation
     total = result.stage_ms[result.tracked].sum(axis=1) if result.tracked.any() else np.array([np.nan])
     learned = int(np.count_nonzero(np.asarray(result.sample_state) == SampleState.LEARNED))
@@ -63,19 +63,19 @@ def tiles(context: Context) -> Markup:
 
 
 def losses(context: Context) -> Markup:
-    """How many frames were skipped or lost, and why."""
+    """Write how many frames were skipped or lost, and why."""
     result = context.result
     reasons = Counter(reason or "not tracked" for reason, kept in zip(result.reasons, result.tracked, strict=True) if not kept)
     return page.html().losses(int((~result.tracked).sum()), len(result), reasons.most_common(6))
 
 
 def coefficients(context: Context) -> Markup:
-    """The animation curves, re-solved from the final mesh."""
+    """Draw the animation curves, which are re-solved from the final mesh."""
     return page.html().coefficients(charts.coefficients(context.result, context.parameters.blendshapes, context.spans))
 
 
 def fit(context: Context) -> Markup | str:
-    """Distance of the held-out landmarks from their places on the tracked face; empty if none were detected."""
+    """Write the distance of the held-out landmarks from their places on the tracked face, or "" if none were detected."""
     result = context.result
     if result.held_out is None or not (text := describe_fit(result.held_out[result.tracked], result.held_out_regions)):
         return ""
@@ -83,7 +83,7 @@ def fit(context: Context) -> Markup | str:
 
 
 def learning(context: Context, correctives: np.ndarray | None) -> Markup:
-    """Figure 11, the sample states, and the corrective shapes as faces."""
+    """Draw figure 11, the states of the samples, and the corrective shapes as faces."""
     result = context.result
     drawn = [charts.learning(result, context.spans)]
     if not result.colour_only:
@@ -105,7 +105,7 @@ def _corrective_faces(actor: Actor, correctives: np.ndarray) -> Markup:
 
 
 def errors(context: Context, note: str = "") -> Markup | str:
-    """Errors against the ground truth: a table per stage and performance, curves, and maps over the face."""
+    """Write the errors against the ground truth: a table by stage and performance, curves, and maps over the face."""
     evaluation = context.evaluation
     if evaluation is None:
         return ""
@@ -143,12 +143,12 @@ def _error_faces(context: Context, evaluation: Evaluation) -> list[Markup]:
 
 
 def timings(context: Context) -> Markup:
-    """Time per stage and the paper's figures."""
+    """Write the time of each stage beside the paper's figures."""
     return page.html().timings(charts.stage_timings(context.result))
 
 
 def parameters(context: Context) -> Markup:
-    """Every parameter of the run. Those that differ from the default are marked."""
+    """Write every parameter of the run, and mark those that differ from the default."""
     rows = []
     for entry in describe():
         value = getattr(getattr(context.parameters, entry["stage"]), entry["name"])
@@ -162,5 +162,5 @@ def parameters(context: Context) -> Markup:
 
 
 def footer() -> Markup:
-    """The name and version of the program that wrote the page."""
+    """Write the name and version of the program."""
     return page.html().footer(__version__)

@@ -1,4 +1,4 @@
-"""Keep BLAS on one thread while frames are tracked, however many callers ask for that and in whatever order they end."""
+"""Keep BLAS on one thread while frames are tracked, for any number of callers that may end in any order."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _users = 0
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Context in which BLAS runs on one thread: on shared cores a second one stalls small solves for up to 100 ms.
+    """Run BLAS on one thread inside this context. On shared cores, a second thread stalls small solves for up to 100 ms.
 
-    The limit belongs to the whole process. Contexts may overlap in any order, in any threads: the first one sets the
-    limit, each covers the libraries that were loaded since, and the last one to end restores what was there before.
+    The limit holds for the whole process. Contexts may overlap in any order and in any threads. The first one sets the limit,
+    each one extends it to the libraries that were loaded since, and the last one to end restores the state from before.
     """
     global _users
     with _lock:

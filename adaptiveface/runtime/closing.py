@@ -1,4 +1,4 @@
-"""Objects that are closed at the end of a ``with`` block."""
+"""Close objects at the end of a ``with`` block."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release what is held; calling it again does nothing."""
+        """Release what the object holds. A second call does nothing."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""Ctrl-C and its like as a wish that a loop looks at, where other threads are at work; SIGTERM as the same wish."""
+"""Turn Ctrl-C and SIGTERM into a wish that a loop looks at, so that they do not interrupt code that holds locks."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from contextlib import contextmanager
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM: whoever stops this process (a service manager, a shutdown, ``kill``) wants an orderly end, as Ctrl-C does."""
+    """The end that SIGTERM asks for. A service manager, a shutdown or ``kill`` wants an orderly end, as Ctrl-C does."""
 
 
 def _terminate(*_) -> None:
     raise Terminated
 
 
-#: Signal -> its handler that raises, which :class:`CtrlC` takes the place of.
+#: The handler of each signal that raises an error. :class:`CtrlC` replaces these handlers.
 _RAISING = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: _terminate}
 
 
 @contextmanager
 def orderly_end() -> Iterator[None]:
-    """Inside, SIGTERM raises :class:`Terminated`, a KeyboardInterrupt.
+    """Let SIGTERM raise :class:`Terminated`, a KeyboardInterrupt, inside this context.
 
-    Only in the main thread, and where nobody handles or ignores the signal.
+    It does so only in the main thread, and only if nobody else handles or ignores the signal.
     """
     main = threading.current_thread() is threading.main_thread()
     handles = main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
@@ -40,23 +40,23 @@ def orderly_end() -> Iterator[None]:
 
 
 def end_process(status: int) -> None:
-    """End the process as ``sys.exit`` does; Ctrl-C while it ends is passed over, because nothing is left to be saved."""
+    """End the process as ``sys.exit`` does. Ctrl-C is ignored meanwhile, because nothing is left to be saved."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     try:
         sys.stdout.flush()
-    except (OSError, ValueError):  # nobody reads any more: Python would say so once more
+    except (OSError, ValueError):  # nobody reads the output any more, and Python would report that once more
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = status or 1
     sys.exit(status)
 
 
 class CtrlC:
-    """A context manager. Inside it the first Ctrl-C or SIGTERM only sets ``pressed``; a second one raises.
+    """A context manager inside which the first Ctrl-C or SIGTERM only sets ``pressed``. A second one raises.
 
-    Python would raise KeyboardInterrupt between any two steps of the main thread, also when that has just taken a lock: it
-    is then never given back, and whoever needs it to close (a tracker, a pool of writers) waits for ever. Outside the main
-    thread, and where somebody else handles the signal, everything stays as it is.
+    Python would raise KeyboardInterrupt between any two steps of the main thread, even right after it has taken a lock. The
+    lock would then never be released, and a tracker or a pool of writers that needs it for closing would wait for ever.
+    Outside the main thread, and if somebody else handles the signal, nothing changes.
     """
 
     def __init__(self) -> None:
@@ -75,7 +75,7 @@ class CtrlC:
             signal.signal(number, _RAISING[number])
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt (:class:`Terminated` for SIGTERM) when it was pressed, where nothing is held."""
+        """Raise KeyboardInterrupt (:class:`Terminated` for SIGTERM) if it was pressed. Call this where no lock is held."""
         if self.pressed:
             raise self.pressed
 

@@ -1,8 +1,8 @@
-"""What the time of a frame is: the only place that judges, repairs and converts times, for every reader and every writer.
+"""Judge, repair and convert the times of frames, for every reader and every writer.
 
-A reader hands over what its file or device says (:func:`frame_times`); a writer asks for times that rise from 0
-(:func:`increasing`), for the rate (:func:`frame_rate`), or for which frame a film shows when (:func:`film_frames`,
-:func:`gif_frames`).
+A reader passes the times of its file or device to :func:`frame_times`. A writer asks for times that rise from 0
+(:func:`increasing`), for the rate (:func:`frame_rate`), or for the frame that a film shows at each moment
+(:func:`film_frames`, :func:`gif_frames`).
 """
 
 from __future__ import annotations
@@ -14,35 +14,35 @@ import numpy as np
 
 from ..errors import FileFormatError
 
-#: Frames per second that cameras and programs work with; NTSC's are 1000/1001 of a whole number.
+#: Rates at which cameras and programs work, frames per second. NTSC's are 1000/1001 of a whole number.
 STANDARD_RATES = tuple(
     sorted(
         (5.0, 10.0, 12.0, 12.5, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0, 240.0)
         + tuple(1000 * n / 1001 for n in (24, 30, 48, 60, 120, 240))
     )
 )
-#: A measured rate this near to a standard one is that one. The times themselves stay as they are.
+#: Largest relative distance at which a measured rate counts as a standard one. The times themselves do not change.
 RATE_TOLERANCE = 0.005
-#: Rate of a take whose times cannot tell, frames per second.
+#: Rate of a take whose times do not tell it, frames per second.
 DEFAULT_RATE = 30.0
-#: Times nearer than this are the same, s.
+#: Times that lie nearer together than this are the same, s.
 SAME = 1e-6
 #: Longest film that is written, s.
 MAX_FILM_SECONDS = 6 * 3600.0
 
-#: Units in which times are found: name, seconds.
+#: Units in which files give times: name, and length in seconds.
 _UNITS = (("milliseconds", 1e-3), ("microseconds", 1e-6), ("steps of 100 ns", 1e-7), ("nanoseconds", 1e-9))
-#: Farthest that the median step of times in seconds lies from 1 / fps, and that of times in another unit, as factors.
+#: Largest factors between the median step and 1 / fps, for times in seconds and for times in another unit.
 _FAR, _UNIT_FAR = 12.0, 3.0
-#: Costs of explaining the times of a take: a wrong value, a pause, a clock that starts again, an uneven step at most.
+#: Costs of explaining the times of a take: of a wrong value, a pause, a clock that starts again, and at most of an uneven step.
 _WRONG, _PAUSE, _RESTART, _UNEVEN = 1.0, 2.5, 4.0, 0.5
-#: Most wrong values in a row, beyond which the clock counts as another one.
+#: Largest number of wrong values in a row. After more of them, the clock counts as another one.
 _WINDOW = 12
 
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """``seconds`` (F,) float64, strictly increasing; ``notes``: one line for everything that was not taken as it stood."""
+    """Strictly increasing times ``seconds`` (F,) float64, with a line in ``notes`` for everything that was changed."""
 
     seconds: np.ndarray
     notes: tuple[str, ...] = ()
@@ -51,28 +51,28 @@ class FrameTimes:
 def frame_times(
     known: Mapping[int, float], count: int, fps: float = DEFAULT_RATE, name: str = "times", strict: bool = True
 ) -> FrameTimes:
-    """The times of ``count`` frames from what a file says of some of them.
+    """Find the times of ``count`` frames, given what a file says about some of them.
 
     Parameters
     ----------
     known : mapping of int to float
-        Frame (0-based) to its time. NaN and infinity count as unknown.
+        Time of each known frame (0-based). NaN and infinity count as unknown.
     count : int
         Number of frames.
     fps : float
-        Nominal frames per second. It tells seconds from other units, and continues the times before the first known frame
-        and behind the last.
+        Nominal frames per second. They distinguish seconds from other units, and continue the times before the first known
+        frame and after the last one.
     name : str
-        File or sensor, for the notes and the error.
+        Name of the file or sensor, for the notes and the error.
     strict : bool
-        Refuse a median step that fits no unit; otherwise it is taken to be in seconds.
+        Whether to refuse a median step that fits no unit. Otherwise the times are taken to be in seconds.
 
     Returns
     -------
     FrameTimes
-        Times in milliseconds, microseconds, units of 100 ns and nanoseconds, and frame numbers, are converted. Single
-        values that repeat, fall back or lie far off are replaced by what their neighbours say, and a clock that starts
-        again goes on from where it was. Good values and real pauses stay as they are.
+        Milliseconds, microseconds, units of 100 ns, nanoseconds and frame numbers are converted to seconds. Single values
+        that repeat, fall back or lie far off are replaced according to their neighbours. A clock that starts again continues
+        from where it was. Good values and real pauses do not change.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def frame_times(
 
 
 def clean_times(timestamps: np.ndarray, name: str = "times") -> FrameTimes:
-    """Of times (F,) of a finished take, whose nominal rate is no longer known; never raises."""
+    """Repair the times (F,) of a finished take, whose nominal rate is no longer known. This never raises an error."""
     times = np.asarray(timestamps, float)
     steps = np.diff(times)
     rising = steps[np.isfinite(steps) & (steps > SAME)]
@@ -105,47 +105,64 @@ def clean_times(timestamps: np.ndarray, name: str = "times") -> FrameTimes:
 
 
 def increasing(timestamps: np.ndarray) -> np.ndarray:
-    """(F,) s from 0 on, strictly increasing: the times (F,) of a take, repaired as by :func:`frame_times`."""
+    """Return the times (F,) of a take from 0 on, strictly increasing, s. They are repaired as by :func:`frame_times`."""
     times = clean_times(timestamps).seconds
     return times - times[:1]
 
 
 def frame_rate(timestamps: np.ndarray) -> float:
-    """Frames per second of increasing times (F,) s, a standard rate where one is near; 30 where they cannot tell."""
+    """Find the frames per second of increasing times (F,) s: a standard rate if one is near, or 30 if they do not tell."""
     steps = np.diff(np.asarray(timestamps, float))
     steps = steps[steps > SAME]
     if len(steps) == 0:
         return DEFAULT_RATE
     middle = float(np.median(steps))
-    usual = steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]  # their mean knows more digits than any one of them
+    usual = steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]  # their mean has more digits than any one of them
     return standard_rate(1.0 / float(np.mean(usual)))
 
 
 def standard_rate(rate: float, tolerance: float = RATE_TOLERANCE) -> float:
-    """The rate of :data:`STANDARD_RATES` nearest to ``rate`` frames per second where it is near enough, else ``rate``."""
+    """Return the standard rate nearest to ``rate`` frames per second if it is near enough, and ``rate`` otherwise."""
     nearest = min(STANDARD_RATES, key=lambda standard: abs(standard - rate))
     return nearest if abs(nearest - rate) <= tolerance * rate else rate
 
 
 def time_codes(timestamps: np.ndarray, rate: float) -> np.ndarray:
-    """(F,) frame codes of times (F,) s at ``rate`` a second: whole where the times lie on the rate within their rounding."""
+    """Return the (F,) frame codes of times (F,) s at ``rate`` per second. They are whole if the times fit within rounding."""
     codes = np.asarray(timestamps, float) * rate
     whole = np.rint(codes)
     return np.where(np.abs(codes - whole) < 0.02, whole, codes)
 
 
 def duration(timestamps: np.ndarray) -> float:
-    """Seconds that a take of increasing times (F,) lasts; its last frame lasts as long as most do."""
+    """Return how long a take of increasing times (F,) lasts, s. Its last frame lasts as long as most frames do."""
     times = np.asarray(timestamps, float)
     return float(times[-1] - times[0] + 1.0 / frame_rate(times)) if len(times) else 0.0
 
 
 def film_frames(timestamps: np.ndarray, rate: float | None = None) -> tuple[float, np.ndarray]:
-    """What a film of constant rate shows of increasing times (F,) s: its rate, and the frame (n,) of each of its pictures.
+    """Choose what a film of constant rate shows.
 
-    A frame is repeated until the next one is due, so that the film lasts as long as the take. ``rate``: by default the
-    take's own, or a higher standard rate where that would leave out frames. Raises :class:`FileFormatError` for a take
-    longer than ``MAX_FILM_SECONDS``.
+    A frame is repeated until the next one is due, so that the film lasts as long as the take.
+
+    Parameters
+    ----------
+    timestamps : (F,) array
+        Increasing times of the take, s.
+    rate : float, optional
+        Frames per second. By default, this is the take's own rate, or a higher standard rate if frames would be left out.
+
+    Returns
+    -------
+    rate : float
+        Frames per second of the film.
+    frames : (n,) array
+        Number of the frame that each picture shows.
+
+    Raises
+    ------
+    FileFormatError
+        The take is longer than ``MAX_FILM_SECONDS``.
     """
     times = np.asarray(timestamps, float)
     if duration(times) > MAX_FILM_SECONDS:
@@ -159,9 +176,9 @@ def film_frames(timestamps: np.ndarray, rate: float | None = None) -> tuple[floa
 
 
 def gif_frames(timestamps: np.ndarray, rate: float = 15.0) -> tuple[np.ndarray, np.ndarray]:
-    """Frames (n,) of increasing times (F,) s that a GIF shows, at most ``rate`` a second, and how long each, ms.
+    """Choose the frames (n,) of increasing times (F,) s that a GIF shows, at most ``rate`` per second, and for how long, ms.
 
-    GIF counts hundredths of a second. The instants are rounded and not the steps, so that nothing adds up.
+    GIF counts hundredths of a second. The moments are rounded, and not the steps, so that rounding errors do not add up.
     """
     own = frame_rate(timestamps)
     rate, shown = film_frames(timestamps, min(rate, own))
@@ -171,9 +188,9 @@ def gif_frames(timestamps: np.ndarray, rate: float = 15.0) -> tuple[np.ndarray, 
 
 
 def _film_rate(times: np.ndarray) -> float:
-    """The take's own rate; where a part of it is clearly faster, that part's, up to 60 a second."""
+    """Return the take's own rate, or the rate of a part that is clearly faster, up to 60 per second."""
     own = standard_rate(frame_rate(times), 0.03)
-    span = min(8, len(times) - 1)  # over so many frames jitter does not count
+    span = min(8, len(times) - 1)  # over this many frames, jitter does not matter
     if span < 1:
         return own
     fast = 1.0 / max(float(np.percentile((times[span:] - times[:-span]) / span, 10)), SAME)
@@ -208,10 +225,10 @@ def _in_seconds(index, values, fps: float, name: str, strict: bool) -> tuple[np.
 
 
 def _repaired(index, values, name: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """The frames whose times can be used, those times, and what is said of the others."""
+    """Return the frames whose times can be used, these times, and notes about the others."""
     if (np.diff(values) > SAME).all() and not _pauses(index, values).any():
         return index, values, []
-    first = np.append(True, np.abs(np.diff(values)) > SAME)  # of a run of equal times
+    first = np.append(True, np.abs(np.diff(values)) > SAME)  # the first of a run of equal times
     steps = np.diff(values[first]) / np.diff(index[first])
     if not (steps > 0).any():
         return index[:0], values[:0], [f"{name}: the times do not rise; those of the frame rate are used"]
@@ -238,14 +255,14 @@ def _repaired(index, values, name: str) -> tuple[np.ndarray, np.ndarray, list[st
 
 
 def _pauses(index, values) -> np.ndarray:
-    """(n - 1,) bool: steps that are out of all proportion."""
+    """Return an (n - 1,) mask of the steps that are far too long."""
     gaps, elapsed = np.diff(index), np.diff(values)
     step = float(np.median(elapsed / gaps))
     return elapsed - gaps * step > max(5.0, 30.0 * step)
 
 
 def _best_chain(index, values, step: float) -> np.ndarray:
-    """Positions of the values that explain the take at the lowest cost (a shortest path over the kept ones)."""
+    """Find the values that explain the take at the lowest cost, by a shortest path over the kept values."""
     n = len(values)
     cost, before = _WRONG * np.arange(n, dtype=float), np.full(n, -1)
     for j in range(1, n):

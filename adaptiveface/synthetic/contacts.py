@@ -12,7 +12,7 @@ from ..geometry.mesh import adjacency, edges
 
 
 def rings(loop: np.ndarray, triangles: np.ndarray, n_vertices: int, count: int) -> list[np.ndarray]:
-    """The loop and the next ``count - 1`` rings of vertices around it."""
+    """Return the loop and the next ``count - 1`` rings of vertices around it."""
     joined = adjacency(triangles, n_vertices)
     inside = np.zeros(n_vertices, bool)
     inside[loop] = True
@@ -28,9 +28,18 @@ def rings(loop: np.ndarray, triangles: np.ndarray, n_vertices: int, count: int) 
 class Contact:
     """The upper and the lower rim of an opening, in n pairs.
 
-    upper (n,) vertices; lower (n, V) sparse: the point of the lower rim under each of them; slack (n,) mm: the gap at
-    rest where it is negative already; spread_up, spread_down (V, n) sparse: how a push spreads over upper and lower
-    skin; share: part of the push that the upper side takes.
+    Attributes
+    ----------
+    upper : (n,) array
+        Vertices of the upper rim.
+    lower : (n, V) sparse
+        Weights of the point of the lower rim under each of them.
+    slack : (n,) array
+        The gap at rest where it is already negative, mm, and 0 elsewhere.
+    spread_up, spread_down : (V, n) sparse
+        How a push spreads over the upper and the lower skin.
+    share : float
+        Part of the push that the upper side takes.
     """
 
     upper: np.ndarray
@@ -41,11 +50,11 @@ class Contact:
     share: float
 
     def gap(self, vertices: np.ndarray) -> np.ndarray:
-        """(n,) mm by which the upper rim lies above the lower one; negative where they cross."""
+        """Return the (n,) heights of the upper rim above the lower one, mm. They are negative where the rims cross."""
         return vertices[self.upper, 1] - self.lower @ vertices[:, 1]
 
     def push(self, vertices: np.ndarray, opening: np.ndarray) -> None:
-        """Open the gaps by ``opening`` (n,) mm, in place; the skin around follows smoothly."""
+        """Open the gaps by ``opening`` (n,) mm, in place. The skin around them follows smoothly."""
         vertices[:, 1] += self.spread_up @ (self.share * opening) - self.spread_down @ ((1 - self.share) * opening)
 
     def resolve(self, vertices: np.ndarray) -> None:
@@ -58,10 +67,10 @@ class Contact:
 
 
 def sides(neutral: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.ndarray:
-    """(V,) +1 for skin that belongs to the upper half of an opening, -1 for the lower half.
+    """Return (V,) numbers: +1 for skin that belongs to the upper half of an opening, -1 for the lower half.
 
-    The loop is cut at its two ends in x; other vertices belong to the half that is nearer along the edges. Height alone
-    does not tell: at rest the rolled-in lips interlock.
+    The loop is cut at its two ends in x. Every other vertex belongs to the half that is nearer along the edges. The height of
+    a vertex is not enough, because the rolled-in lips interlock at rest.
     """
     x = neutral[loop, 0]
     i, j = sorted((int(x.argmin()), int(x.argmax())))
@@ -77,10 +86,22 @@ def sides(neutral: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.nd
 def make_contact(
     neutral: np.ndarray, side: np.ndarray, rim: np.ndarray, region: np.ndarray, reach: float, share: float
 ) -> Contact:
-    """Pair the upper with the lower half of a rim.
+    """Pair the upper half of a rim with the lower half.
 
-    neutral (V, 3) mm; side (V,): see :func:`sides`; rim: its vertices; region: vertices that may follow a push; reach:
-    how far it spreads, mm (standard deviation); share: part of a push that the upper side takes.
+    Parameters
+    ----------
+    neutral : (V, 3) array
+        The face at rest, mm.
+    side : (V,) array
+        Half of each vertex, from :func:`sides`.
+    rim : array
+        Vertices of the rim.
+    region : array
+        Vertices that may follow a push.
+    reach : float
+        How far a push spreads, as a standard deviation in mm.
+    share : float
+        Part of a push that the upper side takes.
     """
     upper, lower = (rim[side[rim] == s] for s in (1, -1))
     upper, lower = upper[np.argsort(neutral[upper, 0])], lower[np.argsort(neutral[lower, 0])]
@@ -100,7 +121,7 @@ def _interpolation(knots: np.ndarray, at: np.ndarray, columns: np.ndarray, n: in
 
 
 def _spread(neutral: np.ndarray, region: np.ndarray, sources: np.ndarray, reach: float) -> sp.csr_matrix:
-    """(V, n): each vertex of the region follows its three nearest sources, less with distance."""
+    """Return (V, n) weights. Each vertex of the region follows its three nearest sources, and less if they are far away."""
     k = min(3, len(sources))
     distance, nearest = cKDTree(sources).query(neutral[region], k=k)
     distance, nearest = distance.reshape(len(region), k), nearest.reshape(len(region), k)
@@ -113,7 +134,7 @@ def _spread(neutral: np.ndarray, region: np.ndarray, sources: np.ndarray, reach:
 
 @dataclass(frozen=True)
 class EyeballContact:
-    """Lids slide over the eyeball: vertices (n,) stay at least ``radii`` (n,) mm from ``centre`` (3,)."""
+    """Makes lids slide over the eyeball: ``vertices`` (n,) stay at least ``radii`` (n,) mm away from ``centre`` (3,)."""
 
     vertices: np.ndarray
     radii: np.ndarray
@@ -128,7 +149,7 @@ class EyeballContact:
 
 
 def make_eyeball_contact(neutral: np.ndarray, centre: np.ndarray, radius: float, thickness: float) -> EyeballContact:
-    """Skin in front of one eyeball; it may come as close as ``thickness`` mm, or as it is at rest."""
+    """Choose the skin in front of one eyeball. It may come as close as ``thickness`` mm, or as it is at rest."""
     arm = neutral - centre
     distance = np.linalg.norm(arm, axis=1)
     near = np.flatnonzero((distance < radius + 8.0) & (arm[:, 2] > 0))

@@ -1,4 +1,4 @@
-"""How a synthetic performer's pictures look: the skin, the light in the room and the camera's picture, chosen by name."""
+"""Choose by name how a synthetic performer's pictures look: the skin, the light in the room and the camera's picture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from ..errors import ParameterError
 from .noise import DEPTH_SCALES
 
-#: What each part of a :class:`Look` may be; the first is the default.
+#: The possible values of each part of a :class:`Look`. The first one is the default.
 CHOICES = {
     "skin": ("drawn", "even", "freckled", "bearded", "made-up", "oily"),
     "light": ("steady", "moving", "changing"),
@@ -19,23 +19,24 @@ _SEED = re.compile(r"[0-9]{1,9}")
 
 @dataclass(frozen=True)
 class Look:
-    """What the colour pictures show.
+    """The look of the colour pictures.
 
     Attributes
     ----------
     skin : str
-        "drawn": the simple pattern of :mod:`.paint`. "even": the same without any pattern, only lips, brows, lashes and hair.
-        "freckled", "bearded", "made-up", "oily": as in photographs (:mod:`.photographic`).
+        "drawn" is the simple pattern of :mod:`.paint`. "even" has only lips, brows, lashes and hair, and no pattern.
+        "freckled", "bearded", "made-up" and "oily" look like photographs (:mod:`.photographic`).
     light : str
-        "steady"; "moving": a lamp is carried round the face; "changing": lamps of other colours go on and off (:mod:`.lamp`).
+        "steady", "moving" (a lamp is carried round the face) or "changing" (lamps of other colours go on and off). See
+        :mod:`.lamp`.
     camera : str
-        "plain": white grain; "video": motion blur, automatic gain and white balance, the noise of photons and of the
-        read-out, colours at half the resolution (:mod:`.video_camera`).
+        "plain" adds white grain. "video" adds motion blur, automatic gain and white balance, the noise of photons and of the
+        read-out, and colours at half the resolution (:mod:`.video_camera`).
 
     Raises
     ------
     ParameterError
-        For another name.
+        A name is unknown.
     """
 
     skin: str = "drawn"
@@ -48,18 +49,34 @@ class Look:
                 raise ParameterError(f"{name} = {getattr(self, name)!r}: one of {', '.join(known)} is expected")
 
     def __str__(self) -> str:
-        """What differs from the default, as in a source's name: "skin=oily:light=moving"; empty for the default."""
+        """Write what differs from the default as in a source's name: "skin=oily:light=moving", or "" for the default."""
         return ":".join(f"{f.name}={getattr(self, f.name)}" for f in fields(self) if getattr(self, f.name) != f.default)
 
 
-#: How :func:`parse_performer` wants it, for messages and help.
+#: The form that :func:`parse_performer` reads, for messages and help.
 PERFORMER = "SEED[:NOISE][:skin=SKIN][:light=LIGHT][:camera=CAMERA]"
 
 
 def parse_performer(text: str) -> tuple[int | None, str | None, Look]:
-    """Seed, noise (None: not named) and look of a synthetic source's name, without its "synthetic:" and its take.
+    """Read the name of a synthetic source.
 
-    Raises :class:`ParameterError` for what is none.
+    Parameters
+    ----------
+    text : str
+        The name without "synthetic:" and without the take.
+
+    Returns
+    -------
+    seed : int or None
+        None if it is not named.
+    noise : str or None
+        None if it is not named.
+    look : Look
+
+    Raises
+    ------
+    ParameterError
+        The text is not of the form ``PERFORMER``.
     """
     seed, *rest = text.split(":")
     if seed and not _SEED.fullmatch(seed):

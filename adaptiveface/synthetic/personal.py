@@ -1,4 +1,4 @@
-"""What makes a performer a person: identity detail, own expression units, a turning jaw, combinations that interact."""
+"""Make a performer a person: detail of the identity, own expression units, a turning jaw, units that interact."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from .fields import smooth_field
 
-#: Units that move skin farther than this (mm), such as the opening jaw, vary less in proportion.
+#: Units that move the skin farther than this, mm, such as the opening jaw, vary less in proportion.
 RIGID_REACH = 14.0
 
 #: Pairs of expression units that change each other when active together.
@@ -33,9 +33,22 @@ INTERACTIONS = (
 
 
 def identity_detail(rng: np.random.Generator, points: np.ndarray, size: float) -> np.ndarray:
-    """(V, 3) mm: asymmetric displacement that the identity modes do not hold, ``size`` mm rms over the points (V, 3).
+    """Draw an asymmetric displacement that the identity modes do not hold.
 
-    Three octaves: asymmetry of the whole head, bumps of cheeks and brows, skin-scale undulation.
+    It is the sum of three octaves: asymmetry of the whole head, bumps of cheeks and brows, and waves of the skin.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    points : (V, 3) array
+        Points of the head, mm.
+    size : float
+        Root mean square of the displacement, mm.
+
+    Returns
+    -------
+    (V, 3) array
+        Displacements, mm.
     """
     field = np.zeros_like(points)
     for wavelength, share in ((140.0, 0.6), (60.0, 0.7), (28.0, 0.35)):
@@ -46,11 +59,11 @@ def identity_detail(rng: np.random.Generator, points: np.ndarray, size: float) -
 def personal_units(
     rng: np.random.Generator, points: np.ndarray, units: np.ndarray, names: tuple[str, ...], variation: float = 1.0
 ) -> np.ndarray:
-    """(E, V, 3) mm: the person's own expression units, warped from the generic ones (E, V, 3).
+    """Warp the generic expression units (E, V, 3) mm into the person's own ones (E, V, 3) mm.
 
-    Per unit: a smooth gain (standard deviation 0.18), a smooth rotation of the direction (10 degrees) and a strength
-    of its own (12 %), left and right drawn apart, so that the face moves unevenly. Eyelids vary less: they must
-    close. So do units that move the skin far: they move bone, which does not bend.
+    Each unit gets a smooth gain (standard deviation 0.18), a smooth rotation of its direction (10 degrees) and a strength of
+    its own (12 %). Left and right are drawn separately, so that the face moves unevenly. Eyelids vary less, because they must
+    close. Units that move the skin far also vary less, because they move bone, which does not bend.
     """
     out = np.zeros_like(units)
     for e, name in enumerate(names):
@@ -69,7 +82,7 @@ def personal_units(
 
 
 def path_bends(rng: np.random.Generator, points: np.ndarray, units: np.ndarray, size: float = 0.06) -> np.ndarray:
-    """(E, V, 3) mm: how far each unit leaves the straight path half-way; ``size`` is a share of the displacement."""
+    """Draw how far each unit leaves its straight path half-way, (E, V, 3) mm. ``size`` is a share of the displacement."""
     out = np.zeros_like(units)
     for e in range(len(units)):
         moved = np.flatnonzero(np.abs(units[e]).max(axis=1) > 1e-3)
@@ -80,13 +93,13 @@ def path_bends(rng: np.random.Generator, points: np.ndarray, units: np.ndarray, 
 
 @dataclass(frozen=True)
 class Interactions:
-    """What pairs of units (P, 2) add when both are active: fields (P, V, 3) mm at full activation of both."""
+    """What ``pairs`` of units (P, 2) add when both are active: ``fields`` (P, V, 3) mm at full activation of both."""
 
     pairs: np.ndarray
     fields: np.ndarray
 
     def displacement(self, activations: np.ndarray) -> np.ndarray | float:
-        """(V, 3) mm for activations (E,)."""
+        """Return the (V, 3) mm that activations (E,) add."""
         both = np.clip(activations[self.pairs], 0, 1.2).prod(axis=1)
         active = both > 1e-4
         return np.tensordot(both[active], self.fields[active], axes=1) if active.any() else 0.0
@@ -95,7 +108,7 @@ class Interactions:
 def make_interactions(
     rng: np.random.Generator, points: np.ndarray, units: np.ndarray, names: tuple[str, ...], size: float = 1.4
 ) -> Interactions:
-    """Smooth fields where both units of a pair move the skin, ``size`` mm rms there."""
+    """Draw smooth fields where both units of a pair move the skin, with a root mean square of ``size`` mm there."""
     pairs, fields = [], []
     for a, b in INTERACTIONS:
         field = smooth_field(rng, points, 70.0, 3) * (size / np.sqrt(3))
@@ -110,16 +123,21 @@ def make_interactions(
 
 @dataclass(frozen=True)
 class JawHinge:
-    """A jaw that opens by turning: the arc that the straight unit leaves out.
+    """A jaw that opens by turning. It adds the arc that the straight unit leaves out.
 
-    arm (V, 2) mm: y and z of each vertex from the hinge; angle (V,) radians at full activation, from the own unit.
+    Attributes
+    ----------
+    arm : (V, 2) array
+        y and z of each vertex from the hinge, mm.
+    angle : (V,) array
+        Rotation of each vertex at full activation of its own unit, rad.
     """
 
     arm: np.ndarray
     angle: np.ndarray
 
     def displacement(self, activation: float) -> np.ndarray:
-        """(V, 2) mm in y and z between the arc and its chord; zero at activations 0 and 1."""
+        """Return the (V, 2) difference in y and z between the arc and its chord, mm. It is zero at activations 0 and 1."""
         return self._turned(activation) - activation * self._turned(1.0)
 
     def _turned(self, activation: float) -> np.ndarray:
@@ -132,7 +150,7 @@ class JawHinge:
 def make_jaw_hinge(neutral: np.ndarray, unit: np.ndarray) -> JawHinge:
     """Find the hinge from the jaw-open unit (V, 3).
 
-    The chord of a rotation stands square on the line from its middle to the axis.
+    The chord of a rotation is perpendicular to the line from its middle to the axis.
     """
     chord, middle = unit[:, 1:], neutral[:, 1:] + 0.5 * unit[:, 1:]
     length = np.linalg.norm(chord, axis=1)

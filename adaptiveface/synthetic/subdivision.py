@@ -1,4 +1,4 @@
-"""Loop subdivision as a sparse matrix: the rendered surface is finer and smoother than the tracking mesh."""
+"""Subdivide a mesh with Loop's scheme, so that the rendered surface is finer and smoother than the tracking mesh."""
 
 from __future__ import annotations
 
@@ -9,10 +9,23 @@ from ..geometry.mesh import edges
 
 
 def loop_subdivision(triangles: np.ndarray, n_vertices: int) -> tuple[sp.csr_matrix, np.ndarray]:
-    """One step of Loop subdivision (Loop 1987; boundary rules and vertex weights as in Zorin et al. 2000).
+    """Make one step of Loop subdivision as a sparse matrix.
 
-    triangles (T, 3) over V vertices -> matrix (V + E, V), whose first V rows are the smoothed old vertices and the
-    other E rows the edge points, and the (4T, 3) triangles over them.
+    The scheme is Loop's (1987). Boundary rules and vertex weights are those of Zorin et al. (2000).
+
+    Parameters
+    ----------
+    triangles : (T, 3) array
+        Triangles of the mesh, which has E edges.
+    n_vertices : int
+        Number V of its vertices.
+
+    Returns
+    -------
+    matrix : (V + E, V) sparse
+        The first V rows give the smoothed old vertices, and the other E rows the edge points.
+    triangles : (4 T, 3) array
+        The triangles over these vertices.
     """
     pairs = edges(triangles)
     n_edges = len(pairs)
@@ -35,7 +48,7 @@ def _edge_numbers(pairs: np.ndarray, wanted: np.ndarray, n: int) -> np.ndarray:
 
 
 def _edge_points(pairs, triangles, corner_edges, boundary, n) -> sp.csr_matrix:
-    """3/8, 3/8 of the ends and 1/8, 1/8 of the opposite vertices; the midpoint on a boundary."""
+    """Weigh both ends of an edge by 3/8 and both opposite vertices by 1/8. On a boundary, take the midpoint."""
     n_edges = len(pairs)
     end_weight = np.where(boundary, 0.5, 0.375)
     rows = [np.repeat(np.arange(n_edges), 2)]
@@ -50,7 +63,7 @@ def _edge_points(pairs, triangles, corner_edges, boundary, n) -> sp.csr_matrix:
 
 
 def _vertex_points(pairs, boundary, n) -> sp.csr_matrix:
-    """Inner vertices: Loop's valence weights; boundary vertices: 1/8, 3/4, 1/8 along the boundary."""
+    """Use Loop's valence weights for inner vertices, and 1/8, 3/4, 1/8 along the boundary."""
     on_boundary = np.zeros(n, bool)
     on_boundary[pairs[boundary].ravel()] = True
     both = np.concatenate([pairs, pairs[:, ::-1]])

@@ -1,8 +1,8 @@
-"""A video camera's picture: motion blur, automatic gain and white balance, noise, and colours at half the resolution.
+"""Simulate a video camera: motion blur, automatic gain and white balance, noise, and colours at half the resolution.
 
-Noise of sensors: photons (its variance grows with the light) and the read-out (Foi et al. 2008, "Practical Poissonian-Gaussian
-noise modeling and fitting for single-image raw-data"). Gain follows the light with a delay, as in Debevec & Malik's or any
-webcam's automatic exposure.
+The noise comes from photons, whose variance grows with the light, and from the read-out (Foi et al. 2008, "Practical
+Poissonian-Gaussian noise modeling and fitting for single-image raw-data"). The gain follows the light with a delay, as the
+automatic exposure of webcams does.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ import numpy as np
 from .lamp import lamp
 from .photographic import to_linear, to_srgb
 
-#: Time that the shutter is open, frames: 12 ms at 30 frames a second.
+#: Time for which the shutter is open, in frames: 12 ms at 30 frames a second.
 SHUTTER = 0.36
-#: Samples of the motion while it is open.
+#: Number of samples of the motion while the shutter is open.
 _TAPS = 5
-#: Time that gain and white balance take to follow, s, and by how much of the change in colour.
+#: Time constant of gain and white balance, s, and the share of a change in colour that they follow.
 _GAIN_LAG, _BALANCE = 0.4, 0.7
-#: Standard deviation of the noise in linear light: of white's photons, and of the read-out, at unit gain.
+#: Standard deviations of the noise at unit gain in linear light: of the photons of white, and of the read-out.
 _PHOTONS, _READ_OUT = 0.018, 0.0025
 
 
 class VideoCamera:
-    """What a camera makes of the light in a room of kind ``light`` (:func:`.lamp.lamp`)."""
+    """A camera in a room with the light ``light``, which is a kind of :func:`.lamp.lamp`."""
 
     def __init__(self, light: str, fps: float) -> None:
         self._light, self._fps = light, fps
 
     def gain(self, index: int) -> np.ndarray:
-        """(3,) by how much the camera brightens R, G and B in frame ``index``: what it saw before, with a delay."""
-        steps = np.arange(1, 61)  # two seconds: five times the delay
+        """Return the (3,) factors by which the camera brightens R, G and B in frame ``index``. They follow earlier frames."""
+        steps = np.arange(1, 61)  # two seconds, which is five times the delay
         weights = np.exp(-steps / (_GAIN_LAG * self._fps))
         seen = np.array([lamp(self._light, (index - step) / self._fps).brightness for step in steps])
         seen = np.average(seen, axis=0, weights=weights)
@@ -41,9 +41,22 @@ class VideoCamera:
         return usual / grey * hunting * (grey / seen) ** _BALANCE
 
     def develop(self, picture: np.ndarray, motion: np.ndarray, index: int, rng: np.random.Generator) -> np.ndarray:
-        """(H, W, 3) uint8 of a float32 picture (H, W, 3), 0 to 255 and above.
+        """Turn a rendered picture into the picture that the camera stores.
 
-        motion (H, W, 2): px that what is seen moves from one frame to the next.
+        Parameters
+        ----------
+        picture : (H, W, 3) float32 array
+            Rendered colours, 0 to 255 and above.
+        motion : (H, W, 2) array
+            How far the content of each pixel moves from one frame to the next, px.
+        index : int
+            Number of the frame.
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        (H, W, 3) uint8 array
+            The stored picture.
         """
         gain = self.gain(index).astype(np.float32)
         light = to_linear(blurred(picture, motion)) * gain
@@ -58,7 +71,7 @@ class VideoCamera:
 
 
 def blurred(picture: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """``picture`` (H, W, 3) float32 averaged along ``motion`` (H, W, 2) px a frame, while the shutter is open."""
+    """Average ``picture`` (H, W, 3) float32 along ``motion`` (H, W, 2) px per frame, while the shutter is open."""
     height, width = picture.shape[:2]
     u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     total = np.zeros_like(picture)
