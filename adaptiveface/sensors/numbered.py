@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -32,9 +32,11 @@ class FrameSource(Protocol):
     camera: Camera
     name: str
 
+    @abstractmethod
     def __len__(self) -> int:
         """Return the number of frames, including broken ones."""
 
+    @abstractmethod
     def read(self, index: int) -> RgbdFrame:
         """Return frame ``index`` (0-based).
 
@@ -42,6 +44,8 @@ class FrameSource(Protocol):
         ------
         FrameError
             The frame cannot be used.
+        IndexError
+            There is no frame of this number.
         """
 
 
@@ -129,35 +133,8 @@ class Abilities:
         return known
 
 
-class NumberedFrames(Abilities, ABC):
-    """The base class of sources. Iteration skips the frames that cannot be used.
-
-    Attributes
-    ----------
-    camera : Camera
-        The calibration.
-    name : str
-        For titles and file names.
-    """
-
-    camera: Camera
-    name: str
-
-    @abstractmethod
-    def __len__(self) -> int:
-        """Return the number of frames, including broken ones."""
-
-    @abstractmethod
-    def read(self, index: int) -> RgbdFrame:
-        """Return frame ``index`` (0-based).
-
-        Raises
-        ------
-        FrameError
-            The frame cannot be used.
-        IndexError
-            There is no frame of this number.
-        """
+class NumberedFrames(FrameSource, Abilities):
+    """The base class of sources. Iteration skips the frames that cannot be used."""
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         for index in range(len(self)):
