@@ -48,12 +48,19 @@ def _possible(kinds: Mapping[str, SensorKind]) -> str:
 
 
 def list_sensors() -> list[SensorInfo]:
-    """Every kind of sensor; connected devices are listed with their serial numbers. A missing driver is not an error."""
+    """List every kind of sensor.
+
+    Returns
+    -------
+    list of SensorInfo
+        One entry for each connected device, whose name holds its serial number or its index. A kind without a device has a
+        single entry, which states the reason. A missing driver is such a reason, and not an error.
+    """
     return [info for name, kind in sensor_kinds().items() for info in _connected(name, kind)]
 
 
 def _connected(name: str, kind: SensorKind) -> list[SensorInfo]:
-    """An entry for each connected device, or a single one that says why there is none."""
+    """Return an entry for each connected device, or a single entry that states why there is none."""
     description = name
     try:
         driver = kind.load()
@@ -69,17 +76,33 @@ def _connected(name: str, kind: SensorKind) -> list[SensorInfo]:
 
 
 def is_live(text: str) -> bool:
-    """Whether ``text`` names a real sensor, which has no numbered frames, rather than a recording or ``synthetic``."""
+    """Return whether ``text`` names a real sensor. Recordings and ``synthetic`` have numbered frames and are none."""
     text, _ = split_mirrored(text)
     kind = text.partition(":")[0]
     return kind != "synthetic" and not Path(text).exists() and kind in sensor_kinds()
 
 
 def open_sensor(text: str) -> LiveSensor:
-    """Open the sensor or recording named by ``text``. A recording plays every frame, as fast as it is read.
+    """Open a sensor or a recording by name.
 
-    A name that ends in ``,mirrored`` has its frames flipped. Raises :class:`SensorError` (not found, driver not
-    installed, ...), :class:`ParameterError` or :class:`FileFormatError`.
+    Parameters
+    ----------
+    text : str
+        A name from :func:`list_sensors`, or the path of a recording. If it ends in ``,mirrored``, the frames are flipped.
+
+    Returns
+    -------
+    LiveSensor
+        The sensor. A recording plays every frame, as fast as it is read.
+
+    Raises
+    ------
+    SensorError
+        There is no such sensor, its driver is not installed, or it cannot be started.
+    ParameterError
+        The text after the colon has no meaning for this kind of sensor.
+    FileFormatError
+        The recording cannot be read.
     """
     text, flipped = split_mirrored(text)
     name, _, argument = text.partition(":")

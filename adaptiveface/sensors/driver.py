@@ -55,9 +55,24 @@ class LiveFrame(RgbdFrame):
 
 @dataclass(frozen=True)
 class RawFrame:
-    """What a driver delivers: ``depth`` (H, W) mm of any dtype, and ``colour`` (H, W, 3) uint8 RGB aligned to it, or None.
+    """What a driver delivers.
 
-    Arrays may be views of the vendor's memory that are valid until the driver is called again. They are copied at once.
+    The arrays may be views of the vendor's memory that are valid until the driver is called again. They are copied at once.
+
+    Attributes
+    ----------
+    depth : (H, W)
+        Depth in mm, of any dtype. A pixel of 0 has no measurement.
+    camera : Camera
+        The calibration of the depth.
+    colour : (H, W, 3) uint8 or None
+        RGB picture that is aligned to the depth.
+    sequence : int
+        The device's frame number. A gap counts as lost frames.
+    timestamp : float
+        By the device's clock, s.
+    features : Features2D or None
+        2D features, if the device provides them.
     """
 
     depth: np.ndarray
@@ -71,7 +86,7 @@ class RawFrame:
 class Driver(ABC):
     """A vendor's library behind a small interface. A single thread calls :meth:`open`, :meth:`grab` and :meth:`close`.
 
-    A subclass overrides these defaults on the class, or sets them before :meth:`open` returns.
+    A subclass overrides the defaults of these attributes on the class, or sets them before :meth:`open` returns.
     """
 
     name: str = "sensor"  #: for titles
@@ -89,26 +104,57 @@ class Driver(ABC):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """A function that makes the driver of ``KIND:argument``. It is called once more for every reconnection.
+        """Return a function that makes the driver of ``KIND:argument``.
 
-        Raises :class:`ParameterError` or :class:`SensorError` where the argument names no device.
+        Parameters
+        ----------
+        argument : str
+            The text after the colon, or "".
+
+        Returns
+        -------
+        callable
+            Makes a new driver. It is called once more for every reconnection.
+
+        Raises
+        ------
+        ParameterError, SensorError
+            The argument names no device.
         """
         return lambda: cls(argument)  # type: ignore[call-arg]  # each subclass takes its own
 
     @classmethod
     def connected(cls) -> Sequence[tuple[str, ...]]:
-        """(identifier, name) or (identifier, name, state) of every connected device. It may raise any exception."""
+        """Return (identifier, name) or (identifier, name, state) of every connected device.
+
+        It may raise any exception.
+        """
         return []
 
     @abstractmethod
     def open(self) -> None:
-        """Start streaming. Raises :class:`SensorError`."""
+        """Start streaming. Raises :class:`SensorError` if the sensor cannot be started."""
 
     @abstractmethod
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next frame, or None when there is none within ``timeout`` seconds.
+        """Return the next frame.
 
-        Raises :class:`SensorDisconnectedError` or :class:`EndOfRecording`.
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait, s.
+
+        Returns
+        -------
+        RawFrame or None
+            The frame, or None if there is none within the time.
+
+        Raises
+        ------
+        SensorDisconnectedError
+            The device is gone.
+        EndOfRecording
+            The recording is over.
         """
 
     @abstractmethod
@@ -171,7 +217,10 @@ def usable(raw: RawFrame) -> bool:
 
 
 def live_frame(raw: RawFrame) -> LiveFrame:
-    """The frame that has just arrived, with copied arrays. NaN, infinite and negative depth become 0 (no measurement)."""
+    """Return the frame that has just arrived, with copied arrays.
+
+    Depth that is NaN, infinite or negative becomes 0 (no measurement).
+    """
     depth = np.array(raw.depth, np.float32)
     depth[~((depth > 0) & (depth < np.inf))] = 0
     colour = None if raw.colour is None else np.array(raw.colour, np.uint8)

@@ -22,13 +22,49 @@ _MAX_FILE_BYTES = 128 << 20
 
 
 def read_depth(path: Path, camera: Camera) -> np.ndarray:
-    """(H, W) float32 raw depth units of a 16-bit PNG; raises :class:`FrameError` naming the file and the reason."""
+    """Read a depth image.
+
+    Parameters
+    ----------
+    path : Path
+        A 16-bit PNG.
+    camera : Camera
+        The calibration, which determines the size of the image.
+
+    Returns
+    -------
+    (H, W) float32
+        Depth in the units of the file.
+
+    Raises
+    ------
+    FrameError
+        The image cannot be used. The message names the file and the reason.
+    """
     pixels = _decode(path, camera, formats=("PNG",), modes=("I;16", "I;16B", "I"), what="a 16-bit grey image")
     return pixels.astype(np.float32)
 
 
 def read_colour(path: Path, camera: Camera) -> np.ndarray:
-    """(H, W, 3) uint8 RGB of a JPEG or PNG; raises :class:`FrameError` naming the file and the reason."""
+    """Read a colour image.
+
+    Parameters
+    ----------
+    path : Path
+        A JPEG or PNG.
+    camera : Camera
+        The calibration, which determines the size of the image.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        The RGB picture.
+
+    Raises
+    ------
+    FrameError
+        The image cannot be used. The message names the file and the reason.
+    """
     return _decode(path, camera, formats=("JPEG", "PNG"), modes=("RGB", "RGBA", "L"), what="an 8-bit colour image")
 
 
@@ -52,7 +88,15 @@ def _decode(path: Path, camera: Camera, formats: tuple, modes: tuple, what: str)
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Write (H, W) uint16 or (H, W, 3) uint8 pixels as PNG or JPEG, by the suffix of ``path``, whole or not at all."""
+    """Write an image completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file. A ``.png`` is lossless, and any other suffix gives a JPEG of quality 95.
+    pixels : (H, W) uint16 or (H, W, 3) uint8
+        Depth or RGB.
+    """
     buffer = io.BytesIO()
     image = Image.fromarray(pixels)
     if path.suffix == ".png":

@@ -20,7 +20,15 @@ GROUP = "adaptiveface.sensors"
 
 @dataclass(frozen=True)
 class SensorKind:
-    """``usage`` is how users write the name. ``load`` imports the driver class, but not yet the vendor's library."""
+    """A kind of sensor.
+
+    Attributes
+    ----------
+    usage : str
+        How users write the name.
+    load : callable
+        Imports and returns the driver class. The vendor's library is not imported yet.
+    """
 
     usage: str
     load: Callable[[], type[Driver]]

@@ -32,18 +32,20 @@ RESTART_GAP = 100
 
 
 class LiveSensor(Closing):
-    """The frames of a sensor. It is a context manager, and an iterator until the recording ends or :meth:`close` is called.
+    """The frames of a sensor.
+
+    It is a context manager, and an iterator over the frames until the recording ends or :meth:`close` is called.
 
     Parameters
     ----------
     make_driver : callable
         Returns a new driver. It is called once more for every reconnection.
     max_age : float
-        Older frames are dropped instead of being handed out, s.
+        Age beyond which a frame is dropped instead of being handed out, s.
     reconnect : bool
-        Open the sensor again after it was unplugged, if its driver can.
+        Whether to open the sensor again after it was unplugged, if its driver can do so.
     open_timeout : float, optional
-        Longest time to wait for the driver to open, s; the driver's own by default.
+        Longest time to wait until the driver is open, s. By default, it is the driver's ``open_timeout``.
 
     Raises
     ------
@@ -91,11 +93,29 @@ class LiveSensor(Closing):
             raise error or SensorTimeoutError(f"{self.name}: did not start within {open_timeout:g} s; plug it in again")
 
     def read(self, timeout: float | None = None) -> LiveFrame:
-        """The newest frame that was not handed out yet; waits up to ``timeout`` s for one.
+        """Return the newest frame that was not handed out yet.
 
-        The default is a second for a sensor, and a minute for a recording, whose next frame will certainly come. Raises
-        :class:`SensorDisconnectedError` (once at once, then whenever ``timeout`` passes without a sensor),
-        :class:`SensorTimeoutError`, :class:`EndOfRecording`, or what the sensor failed with.
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest time to wait for a frame, s. By default, it is a second for a sensor, and a minute for a recording, whose
+            next frame is certain to come.
+
+        Returns
+        -------
+        LiveFrame
+            The frame.
+
+        Raises
+        ------
+        SensorDisconnectedError
+            The sensor was unplugged. The first call raises it immediately, and later calls raise it after ``timeout``.
+        SensorTimeoutError
+            There was no frame within the time.
+        EndOfRecording
+            The recording is over.
+        SensorError
+            The sensor has failed.
         """
         if timeout is None:
             timeout = LIVE_SECONDS if self.live else FILE_SECONDS
@@ -109,7 +129,7 @@ class LiveSensor(Closing):
         return frame
 
     def buffer(self, frames: int) -> None:
-        """Keep up to ``frames`` unread frames of any age: a recording needs every frame, and none is too late for it."""
+        """Keep up to ``frames`` unread frames of any age, for recording, which needs every frame, also a late one."""
         with self._changed:
             self._frames.capacity, self.max_age = frames, math.inf
 
@@ -125,20 +145,24 @@ class LiveSensor(Closing):
         return self.dropped - self.superseded
 
     def add_listener(self, listener: Callable[[LiveFrame], None]) -> None:
-        """Call ``listener`` with every frame: when it arrives from a live sensor, or when a recording hands it out.
+        """Call a function with every frame.
 
-        The listener must be quick and must not raise.
+        Parameters
+        ----------
+        listener : callable
+            A function of one :class:`LiveFrame`. It is called when a frame arrives from a live sensor, or when a recording
+            hands a frame out. It must be quick, and it must not raise an exception.
         """
         with self._changed:
             self._listeners += (listener,)
 
     def remove_listener(self, listener: Callable[[LiveFrame], None]) -> None:
-        """Stop calling ``listener``."""
+        """Stop calling a function that :meth:`add_listener` has added."""
         with self._changed:
             self._listeners = tuple(known for known in self._listeners if known != listener)
 
     def close(self) -> None:
-        """Stop the thread and release the sensor, within half a second; calling it again does nothing."""
+        """Stop the thread and release the sensor within half a second. Calling it again does nothing."""
         self._frames.close()
         self._worker.join(CLOSE_SECONDS)
 
@@ -154,7 +178,7 @@ class LiveSensor(Closing):
             listener(frame)
 
     def _fresh(self, frame: LiveFrame) -> bool:
-        """Whether a frame may be handed out; counts it as dropped where it is too old."""
+        """Return whether a frame may be handed out. A frame that is too old is counted as dropped."""
         late = self.live and frame.age > self.max_age
         self.dropped += late
         self.superseded += late
@@ -192,7 +216,7 @@ class LiveSensor(Closing):
     def _publish(self, raw: RawFrame) -> None:
         behind = None if self._last is None else self._last - raw.sequence
         if (behind is not None and 0 <= behind <= RESTART_GAP) or not usable(raw):
-            self.discarded += 1  # a late or unusable one was counted as dropped where its number was missing
+            self.discarded += 1  # a late frame was already counted as dropped when its number was missing
             return
         lost = max(-behind - 1, 0) if behind is not None and behind < 0 else 0
         self._last = raw.sequence

@@ -9,9 +9,17 @@ MOST_WAITING = 4
 
 
 class Pairing:
-    """Images that wait for their partners. ``depth`` and ``colour`` take tuples whose last entry is the time, s.
+    """Images that wait for their partners.
 
-    Images that are further apart than ``skew``, s, do not show the same moment.
+    Parameters
+    ----------
+    skew : float
+        Longest time between two images of the same moment, s.
+
+    Attributes
+    ----------
+    depth, colour : deque of tuple
+        The waiting images. The last entry of each tuple is the time of the image, s.
     """
 
     def __init__(self, skew: float) -> None:
@@ -20,7 +28,13 @@ class Pairing:
         self.colour: deque[tuple] = deque(maxlen=MOST_WAITING)
 
     def take(self) -> tuple[tuple, tuple] | None:
-        """Take out the oldest pair of depth and colour, or return None. Everything older than the pair is dropped."""
+        """Remove the oldest pair, and drop everything that is older.
+
+        Returns
+        -------
+        tuple of tuple or None
+            The entries of depth and colour, or None if there is no pair.
+        """
         for d, depth in enumerate(self.depth):
             for c, colour in enumerate(self.colour):
                 if abs(depth[-1] - colour[-1]) <= self.skew:

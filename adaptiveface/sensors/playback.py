@@ -19,7 +19,22 @@ DEVICE_QUEUE = 8
 
 
 def raw_frame(frame: RgbdFrame, sequence: int, timestamp: float) -> RawFrame:
-    """``frame`` in the form in which a driver delivers it."""
+    """Return a frame in the form in which a driver delivers it.
+
+    Parameters
+    ----------
+    frame : RgbdFrame
+        The frame.
+    sequence : int
+        Its number.
+    timestamp : float
+        Its time, s.
+
+    Returns
+    -------
+    RawFrame
+        The same arrays, with this number and time.
+    """
     return RawFrame(frame.depth, frame.camera, frame.colour, sequence, timestamp, frame.features)
 
 
@@ -27,6 +42,11 @@ class PlaybackDriver(Driver):
     """Plays a source with numbered frames as fast as they are read.
 
     Broken frames count as lost by the device. ``broken`` lists the reasons.
+
+    Parameters
+    ----------
+    source : FrameSource
+        The source.
     """
 
     live, reopens = False, False
@@ -43,7 +63,7 @@ class PlaybackDriver(Driver):
         self._next = 0
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next frame; None for a broken one."""
+        """Return the next frame, or None if it is broken."""
         if self._next >= len(self.source):
             raise EndOfRecording(f"{self.name}: the recording ends after {len(self.source)} frames")
         index, self._next = self._next, self._next + 1
@@ -55,16 +75,26 @@ class PlaybackDriver(Driver):
         return raw_frame(frame, index, frame.timestamp)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing, because there is nothing to release."""
 
 
 class SyntheticDriver(Driver):
     """The synthetic sensor in real time: 30 frames per second with 2D features, without end.
 
-    The frames are played back and forth, so that the head never jumps. The first ``ahead`` of them are rendered in
-    :meth:`open`, without it all (some seconds), and each of the others when it is due for the first time.
-    Like a camera, it does not wait: a reader that polls too late misses frames (``DEVICE_QUEUE``).
-    The dictionary ``frames`` keeps the rendered frames for the next driver. ``clock`` returns seconds.
+    The frames are played back and forth, so that the head never jumps. Like a camera, the sensor does not wait: a reader that
+    polls too late misses frames (``DEVICE_QUEUE``).
+
+    Parameters
+    ----------
+    source : SyntheticSensor
+        The frames.
+    frames : dict
+        Rendered frames by number. The dictionary keeps them for the next driver.
+    clock : callable
+        Returns the time, s.
+    ahead : int, optional
+        Number of frames that :meth:`open` renders. Each other frame is rendered when it is due for the first time. By default,
+        all are rendered in :meth:`open`, which takes some seconds.
     """
 
     has_features, open_timeout, unconnected = True, 180.0, "ready"
@@ -83,7 +113,10 @@ class SyntheticDriver(Driver):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """The performer of ``[SEED[:NOISE][:skin=SKIN]...]``; its frames are rendered once for all reconnections."""
+        """Return a function that makes the driver of the performer ``[SEED[:NOISE][:skin=SKIN]...]``.
+
+        The performer's frames are rendered once for all reconnections.
+        """
         from ..synthetic.look import parse_performer
         from ..synthetic.sensor import SyntheticSensor
 
@@ -104,7 +137,7 @@ class SyntheticDriver(Driver):
         return self._frames[index]
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The frame that is due now; waits up to ``timeout`` s for it."""
+        """Return the frame that is due now, or None if it is not due within ``timeout`` s."""
         wait = self._start + self._next / self.fps - self._clock()
         if wait > timeout:
             time.sleep(timeout)
@@ -116,10 +149,23 @@ class SyntheticDriver(Driver):
         return raw_frame(self._frame(forth_and_back(sequence, len(self.source))), sequence, sequence / self.fps)
 
     def close(self) -> None:
-        """Nothing to release; the rendered frames stay for the next driver."""
+        """Do nothing. The rendered frames stay for the next driver."""
 
 
 def forth_and_back(step: int, length: int) -> int:
-    """0, 1, ..., length - 1, length - 2, ..., 1, 0, 1, ...; 0 for a single frame."""
+    """Return the frame that is played at a step.
+
+    Parameters
+    ----------
+    step : int
+        Number of the step.
+    length : int
+        Number of frames.
+
+    Returns
+    -------
+    int
+        The sequence is 0, 1, ..., length - 1, length - 2, ..., 1, 0, 1, ... and so on. It is always 0 for a single frame.
+    """
     turn = step % max(2 * length - 2, 1)
     return min(turn, 2 * length - 2 - turn)

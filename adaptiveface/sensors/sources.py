@@ -28,11 +28,11 @@ def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
     Parameters
     ----------
     text : str
-        A recording's folder, an ``.r3d`` file, a video, or ``synthetic[:SEED[:NOISE]...][@take.csv]``,
-        whose skin, light and camera :mod:`adaptiveface.synthetic.look` names. With ``,mirrored`` at
-        the end the frames are flipped, for recordings that are mirrored, as selfie videos are.
+        The folder of a recording, an ``.r3d`` file, a video, or ``synthetic[:SEED[:NOISE]...][@take.csv]``.
+        :mod:`adaptiveface.synthetic.look` lists the names of skins, lights and cameras. If the text ends in ``,mirrored``,
+        the frames are flipped. This is for recordings that show a mirror image, as selfie videos do.
     field_of_view : float, optional
-        Of a video, degrees across the longer side. :class:`.video_file.VideoFile` says what is taken without it.
+        Angle of a video across its longer side, degrees. :class:`.video_file.VideoFile` describes the default.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
     Raises
     ------
     FileFormatError, ParameterError
-        The message lists what is possible.
+        The source cannot be opened. The message lists the possible sources.
     """
     text, flipped = split_mirrored(text)
     source = _open(text, field_of_view)

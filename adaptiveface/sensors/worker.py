@@ -1,4 +1,4 @@
-"""What every live thread needs: a body that runs until it is told to stop, and a slot for its newest item."""
+"""Provide what every live thread needs: a body that runs until it is told to stop, and a slot for its newest item."""
 
 from __future__ import annotations
 
@@ -12,23 +12,42 @@ from ..errors import AdaptiveFaceError, SensorError, SensorTimeoutError
 
 T = TypeVar("T")
 
-#: Longest a thread waits for an item, s: closing, messages and changes have to stay responsive.
+#: Longest time that a thread waits for an item, s. It is short, so that closing, messages and changes stay responsive.
 POLL_SECONDS = 0.1
 
 
 class Latest(Generic[T]):
-    """Hands items from the thread that makes them to the one that reads them, the newest rather than all of them.
+    """Hands items from the thread that makes them to the thread that reads them.
 
-    A producer that ``waits`` (a recording) hands over every item, and is held up until there is room. Otherwise an item
-    that finds no room takes the place of the oldest one, so that a slow reader never falls behind. ``changed`` guards the
-    slot, and whatever else its owner keeps in step with it.
+    Without room, an item takes the place of the oldest one, so that a slow reader never falls behind. The exception is a
+    producer that waits.
+
+    Parameters
+    ----------
+    name : str
+        Name of the sensor, for messages.
+    what : str
+        Name of the slot's owner, for messages.
+    waits : bool
+        Whether the producer waits until there is room. A recording does, because it hands over every item.
+
+    Attributes
+    ----------
+    changed : threading.Condition
+        Guards the slot, and everything that its owner changes together with it.
+    capacity : int
+        Largest number of unread items.
+    closed : bool
+        Whether :meth:`close` was called.
+    newest : object or None
+        The last item that was put, whether it was read or not.
     """
 
     def __init__(self, name: str, what: str, waits: bool = False) -> None:
         self.name, self._what, self._waits = name, what, waits
         self.changed = threading.Condition()
         self.capacity, self.closed = 1, False
-        self.newest: T | None = None  #: the last item that was put, read or not
+        self.newest: T | None = None
         self._items: deque[T] = deque()
         self._end: AdaptiveFaceError | None = None
         self._unsaid: AdaptiveFaceError | None = None
@@ -36,7 +55,7 @@ class Latest(Generic[T]):
 
     # ---- for the thread that makes the items -----------------------------------------------------------------------
     def put(self, item: T) -> int:
-        """Hand over an item; returns how many unread ones it replaced. Does nothing once the slot is closed."""
+        """Hand over an item, unless the slot is closed. Returns the number of unread items that it replaced."""
         with self.changed:
             self.wait_for_room()
             replaced = 0
@@ -51,15 +70,21 @@ class Latest(Generic[T]):
         return replaced
 
     def wait_for_room(self) -> None:
-        """Where the producer waits, return once an item finds room; what is put may depend on that moment."""
+        """Wait until there is room for an item, if the producer waits. The item may depend on that moment."""
         with self.changed:
             if self._waits:
                 self.changed.wait_for(lambda: len(self._items) < self.capacity or self.closed)
 
     def interrupt(self, error: AdaptiveFaceError, overdue: AdaptiveFaceError | None = None) -> None:
-        """No items for now: readers get ``error`` at once, and ``overdue`` (or ``error``) whenever their time is over.
+        """Tell readers that there are no items for now.
 
-        Only the first of several interruptions in a row is told at once.
+        Parameters
+        ----------
+        error : AdaptiveFaceError
+            The error that the next call of :meth:`read` raises immediately. If several interruptions follow each other, only
+            the first one's is raised in this way.
+        overdue : AdaptiveFaceError, optional
+            The error that later calls raise after their timeout. The default is ``error``.
         """
         with self.changed:
             if self._overdue is None:
@@ -68,14 +93,14 @@ class Latest(Generic[T]):
             self.changed.notify_all()
 
     def resume(self) -> None:
-        """The interruption is over, although there is no new item yet."""
+        """End an interruption, although there is no new item yet."""
         with self.changed:
             self._unsaid = self._overdue = None
 
     def end(self, error: AdaptiveFaceError) -> None:
-        """No further item: readers get what is unread, and then ``error``.
+        """Tell readers that there will be no further item. They get the unread items, and then ``error``.
 
-        A producer that waits is held up until its last item was read.
+        If the producer waits, the call returns after the last item was read.
         """
         with self.changed:
             if self._waits:
@@ -84,7 +109,7 @@ class Latest(Generic[T]):
             self.changed.notify_all()
 
     def drop(self) -> int:
-        """Drop what is unread, where the producer does not wait: it is not what there is now. Returns how many."""
+        """Drop the unread items, which are out of date, unless the producer waits. Returns their number."""
         with self.changed:
             dropped = 0 if self._waits else len(self._items)
             if dropped:
@@ -93,9 +118,26 @@ class Latest(Generic[T]):
 
     # ---- for readers -----------------------------------------------------------------------------------------------
     def read(self, timeout: float, fresh: Callable[[T], bool] = lambda item: True) -> T:
-        """The oldest unread item that is ``fresh`` enough, waiting up to ``timeout`` s for it; others are dropped.
+        """Return the oldest unread item.
 
-        Raises the error of :meth:`end` or :meth:`interrupt`, and :class:`SensorTimeoutError`.
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait for an item, s.
+        fresh : callable
+            Returns whether an item may be handed out. Other items are dropped.
+
+        Returns
+        -------
+        object
+            The item.
+
+        Raises
+        ------
+        SensorTimeoutError
+            There was no item within the time.
+        AdaptiveFaceError
+            The error of :meth:`end` or :meth:`interrupt`, or a :class:`SensorError` if the slot is closed.
         """
         deadline = time.perf_counter() + timeout
         with self.changed:
@@ -104,7 +146,7 @@ class Latest(Generic[T]):
                     raise SensorError(f"{self.name}: the {self._what} is closed")
                 while self._items:
                     item = self._items.popleft()
-                    self.changed.notify_all()  # a producer that waits goes on
+                    self.changed.notify_all()  # a waiting producer can continue
                     if fresh(item):
                         return item
                 if self._end is not None:
@@ -123,7 +165,7 @@ class Latest(Generic[T]):
             self._items = deque(map(change, self._items))
 
     def close(self) -> None:
-        """Drop what is unread, and end every wait; calling it again does nothing."""
+        """Drop the unread items, and end every wait. Calling it again does nothing."""
         with self.changed:
             self.closed = True
             self._items.clear()
@@ -131,20 +173,20 @@ class Latest(Generic[T]):
 
 
 class Worker:
-    """A daemon thread that runs ``body`` once; whatever that raises reaches ``failed`` as an error of the package.
+    """A daemon thread that runs a function once, and hands over its exceptions as errors of the package.
 
     Parameters
     ----------
-    name
-        Of the thread.
-    body
-        Returns, or raises, when its owner says that it is closed.
-    failed
-        Called on the thread with what ``body`` raised.
-    wrap
-        Turns an exception of another library into one of the package; see :func:`packaged`.
-    done
-        Called on the thread in the end, in any case.
+    name : str
+        Name of the thread.
+    body : callable
+        The function. It returns or raises an exception after its owner was closed.
+    failed : callable
+        Called on the thread with the error if ``body`` has raised an exception.
+    wrap : callable
+        Turns an exception of another library into an error of the package, as :func:`packaged` does.
+    done : callable
+        Called on the thread at the end, in any case.
     """
 
     def __init__(
@@ -168,7 +210,18 @@ class Worker:
         return self._thread.is_alive()
 
     def join(self, timeout: float | None) -> bool:
-        """Wait up to ``timeout`` s for the body to end; False at once on the thread itself, which cannot wait."""
+        """Wait until the body ends.
+
+        Parameters
+        ----------
+        timeout : float or None
+            Longest time to wait, s. There is no limit if it is None.
+
+        Returns
+        -------
+        bool
+            Whether the call waited. It returns False immediately on the thread itself, which cannot wait for its own end.
+        """
         if threading.current_thread() is self._thread:
             return False
         self._thread.join(timeout)
@@ -177,19 +230,34 @@ class Worker:
     def _run(self) -> None:
         try:
             self._body()
-        except Exception as error:  # whatever a library raises ends here
+        except Exception as error:  # a library may raise anything
             self._failed(self._wrap(error))
         finally:
             self._done()
 
 
 def packaged(error: Exception, what: str, kind: type[AdaptiveFaceError]) -> AdaptiveFaceError:
-    """``error`` itself where it is one of the package, else the :func:`failure` that it causes."""
+    """Return an exception as an error of the package.
+
+    Parameters
+    ----------
+    error : Exception
+        The exception.
+    what : str
+        What failed, for the message.
+    kind : type
+        The class of the new error.
+
+    Returns
+    -------
+    AdaptiveFaceError
+        ``error`` itself if it is an error of the package. Otherwise, it is the :func:`failure` that it causes.
+    """
     return error if isinstance(error, AdaptiveFaceError) else failure(error, what, kind)
 
 
 def failure(error: Exception, what: str, kind: type[AdaptiveFaceError]) -> AdaptiveFaceError:
-    """An error of the package that says ``what`` failed, and ``error`` as the reason."""
+    """Return an error of class ``kind`` that states ``what`` failed, with ``error`` as the reason."""
     made = kind(f"{what} ({str(error) or type(error).__name__})")
     made.__cause__ = error
     return made
