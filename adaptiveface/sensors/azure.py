@@ -38,7 +38,13 @@ _DEPTHS = {1: (320, 288), 2: (640, 576), 3: (512, 512), 4: (1024, 1024)}
 
 
 def pyk4a_module():
-    """The library. Raises :class:`DriverMissingError`, which says what to do, also where NumPy is too new for it."""
+    """Return the library.
+
+    Raises
+    ------
+    DriverMissingError
+        The library is not installed, or NumPy is too new for it. The message states the way out.
+    """
     os.environ.setdefault("K4A_ENABLE_LOG_TO_STDOUT", "0")  # failures are reported as errors
     if int(np.__version__.partition(".")[0]) >= 2:
         reason = f"pyk4a-bundle needs NumPy 1, this environment has {np.__version__}"
@@ -52,12 +58,20 @@ def pyk4a_module():
 
 
 def connected_cameras() -> list[tuple[str, str]]:
-    """(index, name) of every connected camera."""
+    """Return (index, name) of every connected camera."""
     return [(str(index), "Azure Kinect") for index in range(pyk4a_module().connected_device_count())]
 
 
 class AzureDriver(CameraOrFile):
-    """A camera by its ``index``, or the recording at ``path``, which plays as fast as it is read."""
+    """An Azure Kinect, or a recording that plays as fast as it is read.
+
+    Parameters
+    ----------
+    index : int
+        Number of the camera (0-based).
+    path : Path, optional
+        A recording (.mkv) to play instead.
+    """
 
     has_features, fps, depth_scale = False, 30.0, 1000.0
     description = "Azure Kinect"
@@ -72,7 +86,7 @@ class AzureDriver(CameraOrFile):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """The camera that ``argument`` numbers, or the player of the recording that it names."""
+        """Return a function that makes the driver of the camera with a number, or the player of a recording by its path."""
         if argument.isascii() and argument.isdecimal() and len(argument) < 4 or not argument:
             return lambda: cls(int(argument or 0))
         if not (argument.lower().endswith(".mkv") and Path(argument).is_file()):
@@ -85,7 +99,7 @@ class AzureDriver(CameraOrFile):
         return connected_cameras()
 
     def open(self) -> None:
-        """Start streaming; raises :class:`SensorNotFoundError`, :class:`SensorError`, :class:`FileFormatError`."""
+        """Start streaming. Raises :class:`SensorNotFoundError`, :class:`SensorError` or :class:`FileFormatError`."""
         if self.live:
             self._open_camera()
         else:
@@ -129,7 +143,7 @@ class AzureDriver(CameraOrFile):
             raise FileFormatError(f"{self.name}: depth mode {depth_mode!r} has no depth")
 
         def lens(kind, size: tuple[int, int]) -> Lens:
-            """Calibration of one of the two cameras, for pictures of ``size`` (width, height) pixels."""
+            """Return the calibration of one of the two cameras, for pictures of ``size`` (width, height) px."""
             width, height = size
             return Lens(width, height, calibration.get_camera_matrix(kind), calibration.get_distortion_coefficients(kind))
 
@@ -142,7 +156,7 @@ class AzureDriver(CameraOrFile):
         self.camera = self._registration.camera
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; None where there is no depth."""
+        """Return the next pair of depth and colour, or None if there is no depth."""
         k4a, device = self._k4a, self._opened(self._device)
         try:
             capture = device.get_capture(max(int(timeout * 1000), 1)) if self.live else device.get_next_capture()
@@ -168,7 +182,7 @@ class AzureDriver(CameraOrFile):
         return RawFrame(depth, self.camera, colour, self._number(seconds), seconds)
 
     def _number(self, seconds: float) -> int:
-        """The number of a frame, computed from the device's clock because frames carry none. It always increases."""
+        """Return the number of a frame, computed from the device's clock because frames have none. It always increases."""
         if self._start_time is None:
             self._start_time = seconds
         self._sequence = max(round((seconds - self._start_time) * self.fps), self._sequence + 1)
@@ -188,7 +202,7 @@ class AzureDriver(CameraOrFile):
 
 
 def _rgb(k4a, picture: np.ndarray, layout) -> np.ndarray | None:
-    """(h, w, 3) RGB of a picture as the SDK hands it over; None for a JPEG that is broken."""
+    """Return the RGB (h, w, 3) of a picture in the SDK's ``layout``, or None if it is a broken JPEG."""
     formats = k4a.ImageFormat
     if layout == formats.COLOR_MJPG:
         decoded = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)

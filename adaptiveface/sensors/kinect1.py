@@ -91,7 +91,7 @@ class _Library:
         return getattr(self._c, f"freenect_{name}")(*arguments)
 
     def context(self) -> c_void_p:
-        """A new context that opens cameras only; raises :class:`SensorError`."""
+        """Return a new context that opens cameras only. Raises :class:`SensorError`."""
         context = c_void_p()
         if self.call("init", byref(context), None) < 0:
             raise SensorError("Kinect v1: no access to the USB bus")
@@ -116,7 +116,20 @@ def _load() -> ctypes.CDLL:
 
 
 def connected_kinects() -> list[tuple[str, str]]:
-    """(number, name) of every connected Kinect v1; raises :class:`DriverMissingError`, RuntimeError without USB."""
+    """List the connected Kinects.
+
+    Returns
+    -------
+    list of tuple of str
+        Number and name of every Kinect v1.
+
+    Raises
+    ------
+    DriverMissingError
+        The library is not installed.
+    RuntimeError
+        There is no access to USB.
+    """
     library = _Library()
     try:
         context = library.context()
@@ -129,10 +142,19 @@ def connected_kinects() -> list[tuple[str, str]]:
 
 
 class Kinect1Driver(Driver):
-    """A Kinect v1: the one with a number, or the first one.
+    """A Kinect v1.
 
-    ``colour_camera`` is the calibration of depth that is registered to colour, ``depth_camera`` that of the depth camera's own
-    disparity. Both are nominal, because the device reports none.
+    Parameters
+    ----------
+    index : str
+        Number of the Kinect, or "" for the first one.
+
+    Attributes
+    ----------
+    colour_camera : Camera
+        The calibration of depth that is registered to colour. It is nominal, because the device reports none.
+    depth_camera : Camera
+        The nominal calibration of the depth camera, whose disparity is used if the library cannot register.
     """
 
     live, has_features, fps, depth_scale = True, False, float(FPS), 1000.0
@@ -155,7 +177,7 @@ class Kinect1Driver(Driver):
         return connected_kinects()
 
     def open(self) -> None:
-        """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
+        """Start depth and colour. Raises :class:`SensorNotFoundError` or :class:`SensorError`."""
         library = self._library
         self._context = context = library.context()
         found = library.call("num_devices", context)
@@ -180,7 +202,7 @@ class Kinect1Driver(Driver):
         formats = {mode.format: mode for mode in modes if mode.valid and mode.resolution == _MEDIUM}
         self.registered = _REGISTERED in formats
         depth_mode = formats.get(_REGISTERED, formats.get(_DEPTH_11_BIT))
-        # the library keeps the bare pointers: the callbacks live as long as the driver
+        # the library keeps bare pointers, so the callbacks must live as long as the driver
         self._callbacks = _Callback(self._on_depth), _Callback(self._on_video)
         library.call("set_depth_callback", device, self._callbacks[0])
         library.call("set_video_callback", device, self._callbacks[1])
@@ -194,7 +216,7 @@ class Kinect1Driver(Driver):
             raise SensorError(f"{self.name}: cannot start depth and colour; plug it in again, into another USB port")
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour."""
+        """Return the next pair of depth and colour."""
         context, deadline = self._opened(self._context), time.perf_counter() + timeout
         while True:
             left = max(deadline - time.perf_counter(), 0.001)
@@ -229,13 +251,13 @@ class Kinect1Driver(Driver):
         self._waiting.colour.append((pixels.reshape(HEIGHT, WIDTH, 3).copy(), self._seconds("colour", ticks)))
 
     def _seconds(self, stream: str, ticks: int) -> float:
-        """The clock's counter without its overflow every 72 s. Depth and colour share the clock."""
+        """Return the clock's time without its overflow every 72 s. Depth and colour share the clock."""
         before = self._clock.get(stream, self._clock.get("colour" if stream == "depth" else "depth", ticks))
         self._clock[stream] = before + (ticks - before + 2**31) % 2**32 - 2**31
         return self._clock[stream] / TICKS
 
     def _pair(self) -> RawFrame | None:
-        """A frame, once depth and colour of the same moment have arrived, else None."""
+        """Return a frame if depth and colour of the same moment have arrived, or else None."""
         found = self._waiting.take()
         if found is None:
             return None
@@ -249,7 +271,18 @@ class Kinect1Driver(Driver):
 
 
 def millimetres(disparity: np.ndarray) -> np.ndarray:
-    """Depth (float32 mm, 0 = none) from the sensor's 11-bit disparity, by OpenKinect's formula (Magnenat's fit)."""
+    """Convert the sensor's disparity to depth by OpenKinect's formula (Magnenat's fit).
+
+    Parameters
+    ----------
+    disparity : (H, W)
+        The 11-bit disparity.
+
+    Returns
+    -------
+    (H, W) float32
+        Depth in mm. A pixel of 0 has no measurement.
+    """
     table = 123.6 * np.tan(np.arange(2048) / 2842.5 + 1.1863)
     table[(table <= 0) | (table > 10_000)] = 0  # past the pole of the tangent there is no depth
     table[2047] = 0

@@ -24,7 +24,7 @@ PATIENCE = 3.0
 
 
 def kinect_module():
-    """The library; raises :class:`DriverMissingError`."""
+    """Return the library. Raises :class:`DriverMissingError`."""
     if sys.platform != "win32":
         way_out = "record there with 'adaptiveface record kinect2 --out DIR', track anywhere"
         raise DriverMissingError(f"Kinect v2 needs Windows and Microsoft's Kinect for Windows SDK 2.0; {way_out}")
@@ -41,7 +41,7 @@ def _imported():
 
 
 def connected_sensors() -> list[tuple[str, str]]:
-    """An empty list, because the SDK finds a sensor only by opening it. Raises :class:`DriverMissingError`."""
+    """Return an empty list, because the SDK finds a sensor only by opening it. Raises :class:`DriverMissingError`."""
     kinect_module()
     return []
 
@@ -61,7 +61,7 @@ class Kinect2Driver(Driver):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """The one sensor; raises :class:`ParameterError` for a number."""
+        """Return a function that makes the driver. Raises :class:`ParameterError` if ``argument`` names a sensor."""
         if argument:
             raise ParameterError(f"kinect2:{argument}: the SDK supports one sensor, which has no number; use 'kinect2'")
         return cls
@@ -72,7 +72,7 @@ class Kinect2Driver(Driver):
         return connected_sensors()
 
     def open(self) -> None:
-        """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
+        """Start depth and colour. Raises :class:`SensorNotFoundError` or :class:`SensorError`."""
         library = self._library
         streams = library.StreamType.COLOR | library.StreamType.DEPTH
         self._sensor = sensor = library.KinectSensor(streams, auto_open=False)
@@ -90,7 +90,7 @@ class Kinect2Driver(Driver):
         self._last = time.perf_counter()
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; None where there is no depth."""
+        """Return the next pair of depth and colour, or None if there is no depth."""
         library, sensor = self._library, self._opened(self._sensor)
         try:
             frames = sensor.wait_for_frames(max(int(timeout * 1000), 1))
@@ -120,7 +120,7 @@ class Kinect2Driver(Driver):
 
 
 def _aligned(mapper, frames) -> np.ndarray:
-    """(424, 512, 3) RGB of the picture at each pixel of the depth, not mirrored; black where there is no depth."""
+    """Return the RGB (424, 512, 3) of the picture at each pixel of the depth, not mirrored. It is black without depth."""
     where = np.array(mapper.map_depth_frame_to_color_space(frames.depth), np.float32)
     where[~np.isfinite(where)] = -1e4
     rgb = np.ascontiguousarray(frames.color.as_rgb())
@@ -128,10 +128,24 @@ def _aligned(mapper, frames) -> np.ndarray:
 
 
 def registration(mapper) -> Registration:
-    """Calibration of the depth camera, not mirrored, from the viewing rays that the SDK's ``mapper`` gives for its pixels.
+    """Find the calibration of the depth camera, not mirrored, from the viewing rays of its pixels.
 
-    The distortion is radial: (u - cx) / fx = x (1 + k1 r^2 + k2 r^4 + k3 r^6) is solved for k. Raises
-    :class:`SensorError` where the runtime has no calibration yet, or another kind of lens.
+    The distortion is radial: (u - cx) / fx = x (1 + k1 r^2 + k2 r^4 + k3 r^6) is solved for k.
+
+    Parameters
+    ----------
+    mapper : object
+        The SDK's mapper, which gives the rays.
+
+    Returns
+    -------
+    Registration
+        The calibration.
+
+    Raises
+    ------
+    SensorError
+        The runtime has no calibration yet, or the lens is of another kind.
     """
     fx, fy, cx, cy = mapper.get_depth_camera_intrinsics()
     points = np.asarray(mapper.map_depth_frame_to_camera_space(np.full((HEIGHT, WIDTH), 1000, np.uint16)), float)

@@ -21,7 +21,7 @@ MAX_SKEW_MS = 17
 
 
 def depthai_module():
-    """The vendor's library; raises :class:`DriverMissingError`."""
+    """Return the vendor's library. Raises :class:`DriverMissingError`."""
     os.environ.setdefault("DEPTHAI_LEVEL", "off")  # failures are reported as errors
     try:
         import depthai
@@ -33,7 +33,7 @@ def depthai_module():
 
 
 def connected_cameras() -> list[tuple[str, str]]:
-    """(identifier, name) of every connected camera."""
+    """Return (identifier, name) of every connected camera."""
     return [(info.getDeviceId(), f"OAK {info.name}") for info in depthai_module().Device.getAllAvailableDevices()]
 
 
@@ -56,7 +56,7 @@ class OakDriver(Driver):
         return connected_cameras()
 
     def open(self) -> None:
-        """Boot the device and start; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
+        """Boot the device, and start depth and colour. Raises :class:`SensorNotFoundError` or :class:`SensorError`."""
         dai = self._dai
         devices = dai.Device.getAllAvailableDevices()  # opening one that is absent would take 12 s
         info = next((d for d in devices if self.identifier in ("", d.getDeviceId())), None)
@@ -72,7 +72,7 @@ class OakDriver(Driver):
             raise SensorError(f"{self.name}: cannot start depth and colour ({error}); use a USB 3 port") from None
 
     def _build(self, pipeline, device):
-        """Set up stereo depth that is aligned to the undistorted picture of the same moment; returns the queue of both."""
+        """Set up stereo depth that is aligned to the undistorted picture of the same moment. Returns the queue of both."""
         dai, sockets, size = self._dai, self._dai.CameraBoardSocket, (WIDTH, HEIGHT)
         colour, left, right = (
             pipeline.create(dai.node.Camera).build(socket) for socket in (sockets.CAM_A, sockets.CAM_B, sockets.CAM_C)
@@ -100,7 +100,7 @@ class OakDriver(Driver):
         return sync.out.createOutputQueue(maxSize=4, blocking=False)
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and picture."""
+        """Return the next pair of depth and picture."""
         pipeline, device = self._opened(self._pipeline), self._opened(self._device)
         try:
             group = self._queue.get(timedelta(seconds=timeout))

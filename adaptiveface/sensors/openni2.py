@@ -41,16 +41,24 @@ _FRAME_BY_FRAME = -1.0
 
 @by_the_owner
 def connected_cameras() -> list[tuple[str, str]]:
-    """(URI, name) of every connected camera; raises :class:`DriverMissingError`."""
+    """Return (URI, name) of every connected camera. Raises :class:`DriverMissingError`."""
     library = OpenNI2Library()
     library.start()
     return library.devices()
 
 
 class OpenNI2Driver(CameraOrFile):
-    """A camera (by its URI, its number, or the first one), or the recording at ``path``, which plays as fast as it is read.
+    """An OpenNI2 camera, or a recording that plays as fast as it is read.
 
-    A damaged recording can crash the process, so :class:`~adaptiveface.sensors.file_player.FilePlayer` plays it in another.
+    A damaged recording can crash the process. Therefore, :class:`~adaptiveface.sensors.file_player.FilePlayer` plays recordings
+    in another process.
+
+    Parameters
+    ----------
+    which : str
+        URI or number of the camera, or "" for the first one.
+    path : Path, optional
+        A recording (.oni) to play instead.
     """
 
     has_features = False
@@ -71,7 +79,7 @@ class OpenNI2Driver(CameraOrFile):
 
     @by_the_owner
     def open(self) -> None:
-        """Start streaming; raises :class:`SensorNotFoundError`, :class:`FileFormatError` or :class:`SensorError`."""
+        """Start streaming. Raises :class:`SensorNotFoundError`, :class:`FileFormatError` or :class:`SensorError`."""
         try:
             self._library.start()
             self._device = device = self._open_device() if self.path is None else self._open_file(self.path)
@@ -88,7 +96,7 @@ class OpenNI2Driver(CameraOrFile):
 
     @by_the_owner
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; depth alone from a device without colour."""
+        """Return the next pair of depth and colour, or only depth if the device has no colour."""
         device, deadline = self._opened(self._device), time.perf_counter() + timeout
         while True:
             self._check_end()
@@ -122,7 +130,7 @@ class OpenNI2Driver(CameraOrFile):
             if number >= len(devices):
                 raise self._not_found(devices)
             uri = devices[number][0]
-        elif Path(uri).exists():  # which the library would open as well
+        elif Path(uri).exists():  # the library would open it, too
             raise ParameterError(f"openni2:{uri}: is a recording; give its path alone")
         try:
             return self._library.open(uri)
@@ -191,7 +199,7 @@ class OpenNI2Driver(CameraOrFile):
             raise FileFormatError(f"{where}: depth and colour of {sizes} pixels; record both in the same size")
 
     def _calibration(self, mode: VideoMode) -> Camera:
-        """The colour camera's calibration if depth is registered to it, else the depth camera's."""
+        """Return the calibration of the camera to which depth is registered: the colour camera, or else the depth camera."""
         stream = self._colour if self.live and self._colour is not None else self._depth
         kinds = oni.FOV_HORIZONTAL, oni.FOV_VERTICAL
         return camera_from_fov(mode.width, mode.height, *(stream.get(kind, ctypes.c_float).value for kind in kinds))
@@ -218,7 +226,10 @@ class OpenNI2Driver(CameraOrFile):
         return image, index, timestamp
 
     def _pair(self) -> RawFrame | None:
-        """A frame, once depth and colour of the same moment have arrived. A device without colour needs depth only."""
+        """Return a frame if depth and colour of the same moment have arrived, or else None.
+
+        A device without colour needs only depth.
+        """
         if self._colour is not None:
             pair = self._waiting.take()
             if pair is None:
@@ -232,7 +243,7 @@ class OpenNI2Driver(CameraOrFile):
         return RawFrame(millimetres, self.camera, picture, index, timestamp)
 
     def _check_end(self) -> None:
-        """End the recording once the last depth frame was read and waits for no picture."""
+        """End the recording when the last depth frame was read and has found its picture."""
         if not self.live and 0 < self._count <= self._read and not self._waiting.depth:
             self._end()
 
@@ -253,9 +264,23 @@ class OpenNI2Driver(CameraOrFile):
 
 
 def best_modes(depth_modes: list[VideoMode], colour_modes: list[VideoMode]) -> list[VideoMode]:
-    """The depth mode closest to 640 x 480 at 30 Hz (0.1 mm preferred to 1 mm), and the colour mode of its size and rate.
+    """Choose the video modes.
 
-    Raises :class:`OpenNI2Error` where no depth mode has a colour mode.
+    Parameters
+    ----------
+    depth_modes, colour_modes : list of VideoMode
+        The modes of the device. A device without colour has no colour modes.
+
+    Returns
+    -------
+    list of VideoMode
+        The depth mode that is closest to 640 x 480 pixels at 30 Hz, with steps of 0.1 mm rather than 1 mm. The colour mode of
+        the same size and rate follows if the device has colour.
+
+    Raises
+    ------
+    OpenNI2Error
+        No depth mode has a colour mode of its size and rate.
     """
     colours = {(m.width, m.height, m.fps): m for m in colour_modes if m.format == oni.RGB888}
     depths = [m for m in depth_modes if m.format in (oni.DEPTH_1_MM, oni.DEPTH_100_UM)]
@@ -267,7 +292,20 @@ def best_modes(depth_modes: list[VideoMode], colour_modes: list[VideoMode]) -> l
 
 
 def camera_from_fov(width: int, height: int, horizontal: float, vertical: float) -> Camera:
-    """A pinhole camera that sees ``horizontal`` and ``vertical`` rad from border to border of its image."""
+    """Return the pinhole camera of a field of view.
+
+    Parameters
+    ----------
+    width, height : int
+        Size of the image, px.
+    horizontal, vertical : float
+        Angles from border to border of the image, rad.
+
+    Returns
+    -------
+    Camera
+        The calibration. Its principal point is the middle of the image.
+    """
     if not (0 < horizontal < math.pi and 0 < vertical < math.pi):
         raise OpenNI2Error(0, f"a field of view of {horizontal:g} x {vertical:g} rad")
     fx, fy = width / 2 / math.tan(horizontal / 2), height / 2 / math.tan(vertical / 2)

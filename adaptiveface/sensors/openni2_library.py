@@ -31,7 +31,7 @@ _INSTALL = {
 _API_VERSION = 2002
 _OK, _NO_DEVICE, _TIME_OUT = 0, 6, 102
 
-#: Wait this long before closing a player, s: one that is closed before its thread runs never ends.
+#: Shortest time between opening and closing a player, s. If it is closed before its thread runs, closing never ends.
 _SETTLING_SECONDS = 0.05
 #: The only thread that calls the library. The library remembers every thread that ever waited for a frame, and crashes when
 #: it looks up one that has ended. All sensors therefore share a thread that lives as long as the process.
@@ -46,7 +46,7 @@ DEPTH_TO_COLOUR = 1
 
 
 def by_the_owner(function: Callable) -> Callable:
-    """Run ``function`` in the thread that owns the library, and wait for it. Such calls must not be nested."""
+    """Decorate a function to run in the thread that owns the library. Its caller waits. Such calls must not be nested."""
 
     @wraps(function)
     def run(*arguments):
@@ -56,7 +56,7 @@ def by_the_owner(function: Callable) -> Callable:
 
 
 class OpenNI2Error(RuntimeError):
-    """A call of the library failed; ``status`` is its status code."""
+    """A call of the library has failed. ``status`` is its status code."""
 
     def __init__(self, status: int, message: str) -> None:
         super().__init__(message)
@@ -64,7 +64,7 @@ class OpenNI2Error(RuntimeError):
 
 
 class VideoMode(ctypes.Structure):
-    """Pixel format, size in pixels, frames per second."""
+    """Pixel format, size in pixels, and frames per second of a stream."""
 
     _fields_ = [("format", c_int), ("width", c_int), ("height", c_int), ("fps", c_int)]
 
@@ -83,7 +83,7 @@ class _SensorInfo(ctypes.Structure):
 
 
 class Frame(ctypes.Structure):
-    """A frame in the library's memory, valid until it is released."""
+    """A frame in the library's memory, which is valid until it is released."""
 
     _fields_ = [
         ("size", c_int),
@@ -101,7 +101,18 @@ class Frame(ctypes.Structure):
     ]
 
     def image(self) -> np.ndarray:
-        """A copy of the full size: (H, W) uint16 depth or (H, W, 3) uint8 colour; borders that were cropped are 0."""
+        """Copy the image.
+
+        Returns
+        -------
+        (H, W) uint16 or (H, W, 3) uint8
+            Depth or colour in the full size of the mode. Borders that were cropped are 0.
+
+        Raises
+        ------
+        OpenNI2Error
+            The frame contradicts itself.
+        """
         channels, dtype = (3, np.uint8) if self.mode.format == RGB888 else (1, np.uint16)
         item = channels * np.dtype(dtype).itemsize
         inside = 0 <= self.x <= self.mode.width - self.width and 0 <= self.y <= self.mode.height - self.height
@@ -157,7 +168,25 @@ class OpenNI2Library:
             function.argtypes, function.restype = arguments, _OTHER_RESULTS.get(name, c_int)
 
     def call(self, name: str, *arguments):
-        """Call ``name``; a status other than OK raises :class:`OpenNI2Error`."""
+        """Call a function of the library.
+
+        Parameters
+        ----------
+        name : str
+            Name of the function.
+        *arguments
+            Its arguments, as ctypes takes them.
+
+        Returns
+        -------
+        object
+            The result of a function that returns no status, or else None.
+
+        Raises
+        ------
+        OpenNI2Error
+            The status is not OK.
+        """
         result = getattr(self._c, name)(*arguments)
         if name in _OTHER_RESULTS or name in _FLAGS:
             return result
@@ -177,7 +206,7 @@ class OpenNI2Library:
             _started = True
 
     def devices(self) -> list[tuple[str, str]]:
-        """(URI, name) of every connected device. Opened recordings, which the library lists as well, are left out."""
+        """Return (URI, name) of every connected device, without opened recordings, which the library lists, too."""
         infos, count = POINTER(DeviceInfo)(), c_int()
         self.call("oniGetDeviceList", byref(infos), byref(count))
         listed = [infos[i] for i in range(count.value) if infos[i].name != b"oni File"]
@@ -186,7 +215,7 @@ class OpenNI2Library:
         return found
 
     def open(self, uri: str) -> Device:
-        """The device with this URI, or the file at this path."""
+        """Open the device of a URI, or the file at a path."""
         handle = c_void_p()
         self.call("oniDeviceOpen", os.fsencode(uri), byref(handle))
         return Device(self, handle)
@@ -205,7 +234,7 @@ class Device:
 
     @property
     def is_file(self) -> bool:
-        """Whether it plays a recording."""
+        """Whether the device plays a recording."""
         return bool(self._library.call("oniDeviceIsPropertySupported", self._handle, PLAYBACK_SPEED))
 
     def set(self, name: int, value) -> None:
@@ -213,28 +242,28 @@ class Device:
         self._library.call("oniDeviceSetProperty", self._handle, name, byref(value), ctypes.sizeof(value))
 
     def registers_depth(self) -> bool:
-        """Whether it can register depth to colour."""
+        """Return whether the device can register depth to colour."""
         supported = "oniDeviceIsImageRegistrationModeSupported"
         return bool(self._library.call(supported, self._handle, DEPTH_TO_COLOUR))
 
     def synchronise(self) -> None:
-        """Take depth and colour at the same moments. Raises :class:`OpenNI2Error` where the device cannot."""
+        """Take depth and colour at the same moments. Raises :class:`OpenNI2Error` if the device cannot do so."""
         self._library.call("oniDeviceEnableDepthColorSync", self._handle)
 
     def modes(self, kind: int) -> list[VideoMode]:
-        """Video modes of the depth or colour sensor; an empty list without such a sensor."""
+        """Return the video modes of the depth or colour sensor. The list is empty if there is no such sensor."""
         info = self._library.call("oniDeviceGetSensorInfo", self._handle, kind)
         return [info[0].modes[i] for i in range(info[0].count)] if info else []
 
     def stream(self, kind: int) -> Stream:
-        """A new stream of depth or colour."""
+        """Create a stream of depth or colour."""
         handle = c_void_p()
         self._library.call("oniDeviceCreateStream", self._handle, kind, byref(handle))
         self.streams.append(Stream(self._library, handle))
         return self.streams[-1]
 
     def wait(self, timeout: float) -> Stream | None:
-        """The stream that has a new frame, or None after ``timeout`` s."""
+        """Return the stream that has a new frame, or None after ``timeout`` s."""
         handles = (c_void_p * len(self.streams))(*(stream.handle for stream in self.streams))
         index = c_int(-1)
         try:
@@ -264,7 +293,7 @@ class Stream:
         self._library, self.handle = library, handle
 
     def get(self, name: int, kind):
-        """A property of a ctypes ``kind``; raises :class:`OpenNI2Error` where the stream has none."""
+        """Return a property as a ctypes ``kind``. Raises :class:`OpenNI2Error` if the stream does not have it."""
         value = kind()
         self._library.call("oniStreamGetProperty", self.handle, name, byref(value), byref(c_int(ctypes.sizeof(value))))
         return value
@@ -274,7 +303,7 @@ class Stream:
         self._library.call("oniStreamSetProperty", self.handle, name, byref(value), ctypes.sizeof(value))
 
     def supports(self, name: int) -> bool:
-        """Whether it has the property."""
+        """Return whether the stream has a property."""
         return bool(self._library.call("oniStreamIsPropertySupported", self.handle, name))
 
     def start(self) -> None:
@@ -282,7 +311,7 @@ class Stream:
         self._library.call("oniStreamStart", self.handle)
 
     def read(self) -> tuple[np.ndarray, int, float]:
-        """Image, frame number and timestamp (s) of the new frame."""
+        """Return image, frame number and timestamp (s) of the new frame."""
         frame = POINTER(Frame)()
         self._library.call("oniStreamReadFrame", self.handle, byref(frame))
         try:

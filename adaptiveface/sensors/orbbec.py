@@ -21,7 +21,7 @@ _NO_DISTORTION = np.zeros(8)
 
 
 def orbbec_module():
-    """The vendor's library with its log turned off; raises :class:`DriverMissingError`."""
+    """Return the vendor's library with its log turned off. Raises :class:`DriverMissingError`."""
     try:
         import pyorbbecsdk
 
@@ -36,7 +36,7 @@ def orbbec_module():
 
 
 def connected_cameras() -> list[tuple[str, str]]:
-    """(serial number, name) of every connected camera."""
+    """Return (serial number, name) of every connected camera."""
     devices = orbbec_module().Context().query_devices()
     numbers = range(devices.get_count())
     return [(devices.get_device_serial_number_by_index(n), devices.get_device_name_by_index(n)) for n in numbers]
@@ -60,7 +60,7 @@ class OrbbecDriver(Driver):
         return connected_cameras()
 
     def open(self) -> None:
-        """Start depth and colour; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
+        """Start depth and colour. Raises :class:`SensorNotFoundError` or :class:`SensorError`."""
         ob = self._ob
         found = [serial for serial, _ in connected_cameras()]
         if not found or (self.serial and self.serial not in found):
@@ -82,7 +82,7 @@ class OrbbecDriver(Driver):
         self._pipeline, self.fps = pipeline, float(depth.get_fps())
 
     def _profiles(self, pipeline):
-        """The default depth stream, and the colour stream that is 640 pixels wide or, without one, the default."""
+        """Return the default depth stream, and the colour stream that is 640 pixels wide, or else the default one."""
         ob = self._ob
         depth = pipeline.get_stream_profile_list(ob.OBSensorType.DEPTH_SENSOR).get_default_video_stream_profile()
         colours = pipeline.get_stream_profile_list(ob.OBSensorType.COLOR_SENSOR)
@@ -106,7 +106,7 @@ class OrbbecDriver(Driver):
         return Lens(profile.get_width(), profile.get_height(), matrix, values)
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; None where one is missing."""
+        """Return the next pair of depth and colour, or None if there is no depth."""
         frames = self._opened(self._pipeline).wait_for_frames(max(int(timeout * 1000), 1))
         depth = frames.get_depth_frame() if frames is not None else None
         if depth is None:

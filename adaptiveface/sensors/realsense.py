@@ -32,7 +32,7 @@ PLAYBACK_PATIENCE = 10.0
 
 
 def realsense_module():
-    """The vendor's library; raises :class:`DriverMissingError`."""
+    """Return the vendor's library. Raises :class:`DriverMissingError`."""
     try:
         import pyrealsense2
     except ImportError:
@@ -41,16 +41,23 @@ def realsense_module():
 
 
 def connected_cameras() -> list[tuple[str, str]]:
-    """(serial number, name) of every connected camera."""
+    """Return (serial number, name) of every connected camera."""
     rs = realsense_module()
     fields = rs.camera_info.serial_number, rs.camera_info.name
     return [tuple(device.get_info(field) for field in fields) for device in rs.context().query_devices()]
 
 
 class RealSenseDriver(CameraOrFile):
-    """A camera (by its serial number, or the first one), or the recording at ``path``, which plays as fast as it is read.
+    """A RealSense camera, or a recording that plays as fast as it is read.
 
-    ``device`` is an SDK device to use instead, such as a software device.
+    Parameters
+    ----------
+    serial : str
+        Serial number of the camera, or "" for the first one.
+    path : Path, optional
+        A recording (.db3 or .bag) to play instead.
+    device : object, optional
+        A device of the SDK to use instead, such as a software device.
     """
 
     has_features, fps, depth_scale = False, float(FPS), 1000.0
@@ -64,7 +71,7 @@ class RealSenseDriver(CameraOrFile):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """The camera with the serial number ``argument``, or the first one."""
+        """Return a function that makes the driver of the camera with the serial number ``argument``, or of the first one."""
         if len(argument) > 32:
             raise ParameterError(f"realsense:{argument[:32]}...: a serial number is shorter")
         return lambda: cls(argument)
@@ -75,7 +82,7 @@ class RealSenseDriver(CameraOrFile):
         return connected_cameras()
 
     def open(self) -> None:
-        """Start both streams; raises :class:`SensorNotFoundError`, :class:`FileFormatError`, :class:`SensorError`."""
+        """Start both streams. Raises :class:`SensorNotFoundError`, :class:`FileFormatError` or :class:`SensorError`."""
         rs = self._rs
         if self.live and self._injected is None:
             self._find()  # the SDK would wait 15 s for a camera
@@ -102,7 +109,7 @@ class RealSenseDriver(CameraOrFile):
             config.enable_device_from_file(str(self.path), repeat_playback=False)
             playback = config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback()
             playback.set_real_time(False)  # before the start: no frame is lost
-            playback.pause()  # reading begins with the first stream; a stream that starts later has lost what was read before
+            playback.pause()  # reading begins with the first stream, and a later stream would miss what was read before
         profile = pipeline.start(config)
         if not self.live:
             playback.resume()
@@ -114,7 +121,7 @@ class RealSenseDriver(CameraOrFile):
         self.depth_scale = round(1.0 / unit, 2)  # the SDK's unit is a float32, which is not exactly 0.0001
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; None where one of them is missing or of another moment."""
+        """Return the next pair of depth and colour, or None if one of them is missing or shows another moment."""
         arrived, frames = self._opened(self._pipeline).try_wait_for_frames(max(int(timeout * 1000), 1))
         if not arrived:
             self._waited += timeout
@@ -171,6 +178,6 @@ class RealSenseDriver(CameraOrFile):
 
 
 def _skewed(depth, colour) -> bool:
-    """Whether the picture shows another moment: the SDK repeats the last one while the colour stream stalls."""
+    """Return whether the picture shows another moment. The SDK repeats the last picture while the colour stream stalls."""
     same_clock = depth.frame_timestamp_domain == colour.frame_timestamp_domain
     return same_clock and abs(depth.get_timestamp() - colour.get_timestamp()) > MAX_SKEW_MS

@@ -32,9 +32,22 @@ REASONS = 5
 class RecordingSummary:
     """What was recorded.
 
-    ``frames`` were written to ``path``, ``dropped`` were lost by the sensor or on the way, and ``refused`` were left out
-    because the disk was too slow. ``broken`` lists why frames of a recording could not be read. With a ``moving_lens``,
-    intrinsics.csv holds a camera for every frame.
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    frames : int
+        Number of frames that were written.
+    dropped : int
+        Number of frames that the sensor lost, or that were lost on the way.
+    refused : int
+        Number of frames that were left out because the disk was too slow.
+    seconds : float
+        Duration, s.
+    broken : tuple of str
+        For a recording that was converted, the reason of each frame that could not be read.
+    moving_lens : bool
+        Whether intrinsics.csv holds a camera for every frame.
     """
 
     path: Path
@@ -59,10 +72,17 @@ class RecordingSummary:
 
 
 class FrameRecorder:
-    """Writes frames with a pool of threads. Unless it is ``lossless``, a frame is refused when the backlog is full.
+    """Writes frames with a pool of threads.
 
-    Raises :class:`RecordingError` from :meth:`write` and :meth:`close` when the disk is full; the frames written before
-    stay readable.
+    If the disk is full, :meth:`write` and :meth:`close` raise :class:`RecordingError`. The frames that were written before stay
+    readable.
+
+    Parameters
+    ----------
+    writer : RecordingWriter
+        The recording.
+    lossless : bool
+        Whether :meth:`write` waits when the backlog is full. Otherwise, it refuses the frame.
     """
 
     def __init__(self, writer: RecordingWriter, lossless: bool = False) -> None:
@@ -72,7 +92,7 @@ class FrameRecorder:
         self._waiting: deque[Future] = deque()
 
     def write(self, frame: LiveFrame) -> bool:
-        """Queue ``frame``; returns False if it was refused."""
+        """Queue a frame. Returns False if it was refused."""
         while self._waiting and (self._waiting[0].done() or (self.lossless and len(self._waiting) >= BACKLOG)):
             self._finish_one()
         if len(self._waiting) >= BACKLOG:
@@ -84,7 +104,7 @@ class FrameRecorder:
         return True
 
     def close(self) -> None:
-        """Write what is queued. Calling it again does nothing."""
+        """Write the queued frames. Calling it again does nothing."""
         try:
             while self._waiting:
                 self._finish_one()
@@ -102,7 +122,7 @@ class FrameRecorder:
 
 
 class _Explained:
-    """Turns an OSError into the package's error, after dropping what is still queued."""
+    """Turns an OSError into the package's error, and drops the frames that are still queued."""
 
     def __init__(self, recorder: FrameRecorder) -> None:
         self._recorder = recorder
@@ -131,12 +151,37 @@ def record_sensor(
     frames: int | None = None,
     on_frame: Callable[[LiveFrame], None] | None = None,
 ) -> RecordingSummary:
-    """Record ``sensor`` into the new ``folder`` until ``seconds`` or ``frames`` are over, or its recording ends.
+    """Record a sensor until a limit is reached, or until the recording that it plays ends.
 
-    ``on_frame(frame)`` is called with every frame. Ctrl-C ends the recording of a live sensor. It interrupts the conversion of
-    a file, whose first part stays. A second Ctrl-C does not wait for the current frame. Raises :class:`RecordingError` on a
-    full disk, the sensor's :class:`SensorError`, and :class:`FileFormatError` for a folder that already holds a recording.
-    What was recorded until then stays.
+    Ctrl-C ends the recording of a live sensor. It interrupts the conversion of a file, and the first part stays. A second
+    Ctrl-C does not wait for the current frame. After an error, the frames that were recorded before stay, too.
+
+    Parameters
+    ----------
+    sensor : LiveSensor
+        The sensor.
+    folder : Path
+        The folder to create.
+    seconds : float, optional
+        Longest duration, s.
+    frames : int, optional
+        Largest number of frames.
+    on_frame : callable, optional
+        A function that is called with every frame.
+
+    Returns
+    -------
+    RecordingSummary
+        What was recorded.
+
+    Raises
+    ------
+    RecordingError
+        The disk is full.
+    SensorError
+        The sensor has failed, or it has no depth.
+    FileFormatError
+        The folder already holds a recording.
     """
     check_has_depth(sensor)
     sensor.buffer(BACKLOG)
@@ -168,7 +213,7 @@ def record_sensor(
 
 
 def run_record(args) -> int:
-    """``record SOURCE --out DIR [--seconds N]``."""
+    """Run ``record SOURCE --out DIR [--seconds N]``. Returns the exit status."""
     from .catalogue import open_sensor
 
     check_new_folder(args.out, [args.source])
@@ -179,7 +224,7 @@ def run_record(args) -> int:
 
 
 def run_convert(args) -> int:
-    """``convert FILE --out DIR``."""
+    """Run ``convert FILE --out DIR``. Returns the exit status."""
     from .catalogue import open_sensor
 
     check_new_folder(args.out, [args.file])

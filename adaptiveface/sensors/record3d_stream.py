@@ -24,7 +24,7 @@ _RETIRED: list = []
 
 
 def record3d_stream_class():
-    """The library's stream; raises :class:`DriverMissingError`."""
+    """Return the library's class of streams. Raises :class:`DriverMissingError`."""
     try:
         from record3d import Record3DStream
     except ImportError:
@@ -36,7 +36,7 @@ def record3d_stream_class():
 
 
 def connected_phones() -> list[str]:
-    """Identifiers (UDID) of the connected iPhones."""
+    """Return the identifiers (UDID) of the connected iPhones."""
     return [device.udid for device in record3d_stream_class().get_connected_devices()]
 
 
@@ -57,11 +57,11 @@ class Record3DDriver(Driver):
 
     @classmethod
     def connected(cls) -> list[tuple[str, str]]:
-        """(identifier, description) of every connected iPhone."""
+        """Return (identifier, description) of every connected iPhone."""
         return [(phone, cls.description) for phone in connected_phones()]
 
     def open(self) -> None:
-        """Connect; raises :class:`SensorNotFoundError` or :class:`SensorError`."""
+        """Connect to the app. Raises :class:`SensorNotFoundError` or :class:`SensorError`."""
         devices = list(self._stream_class.get_connected_devices())
         device = next((d for d in devices if self.identifier in ("", d.udid)), None)
         if device is None:
@@ -74,7 +74,7 @@ class Record3DDriver(Driver):
             raise SensorError(f"{self.name}: no answer; open Record3D, choose USB streaming and press record")
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The newest frame that arrived."""
+        """Return the newest frame that has arrived, or None if there is none within ``timeout`` s."""
         with self._arrived:
             self._arrived.wait_for(lambda: self._newest is not None or self._stopped, timeout)
             frame, self._newest = self._newest, None
@@ -116,7 +116,24 @@ class Record3DDriver(Driver):
 
 
 def aligned_frame(depth: np.ndarray, picture: np.ndarray, intrinsics, number: int) -> RawFrame:
-    """``depth`` (h, w) mm and the ``picture`` (H, W, 3) of the same view with its ``intrinsics`` fx, fy, cx, cy."""
+    """Make a frame of depth and picture of the same view.
+
+    Parameters
+    ----------
+    depth : (h, w) array
+        Depth in mm.
+    picture : (H, W, 3) uint8
+        RGB picture, which is scaled to the size of the depth.
+    intrinsics : tuple of 4 float
+        fx, fy, cx and cy of the picture, px.
+    number : int
+        Number of the frame.
+
+    Returns
+    -------
+    RawFrame
+        The frame. Its time is the present moment.
+    """
     (height, width), (rows, columns) = depth.shape, picture.shape[:2]
     camera = scaled_camera(Camera(columns, rows, *intrinsics), (width, height))
     if (rows, columns) != (height, width):

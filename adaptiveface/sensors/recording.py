@@ -51,8 +51,6 @@ DEPTH_RANGE_MM = (100.0, 10_000.0)
 class Recording(NumberedFrames):
     """A recorded performance on disk, read frame by frame.
 
-    ``len()``, ``read(index)`` and iteration give the frames; iteration skips the broken ones.
-
     Parameters
     ----------
     path : path-like
@@ -67,11 +65,11 @@ class Recording(NumberedFrames):
     depth_scale : float
         Units of the depth images per metre.
     name : str
-        Of the folder.
+        Name of the folder.
     has_features : bool
         Whether the recording holds 2D features.
     timestamps : (F,) float64
-        Seconds.
+        Times of the frames, s.
     notes : tuple of str
         What was converted or repaired in the timestamps.
 
@@ -115,9 +113,24 @@ class Recording(NumberedFrames):
         return self._length
 
     def read(self, index: int) -> RgbdFrame:
-        """Frame ``index`` (0-based): depth (H, W) float32 mm, colour (H, W, 3) uint8 RGB, or None.
+        """Return a frame.
 
-        Raises :class:`FrameError` naming the file and the reason; :class:`IndexError` outside the recording.
+        Parameters
+        ----------
+        index : int
+            Number of the frame (0-based).
+
+        Returns
+        -------
+        RgbdFrame
+            The frame. Its depth is (H, W) float32 in mm. Its colour is (H, W, 3) uint8 RGB, or None if the recording has none.
+
+        Raises
+        ------
+        FrameError
+            The frame cannot be used. The message names the file and the reason.
+        IndexError
+            There is no frame of this number.
         """
         if not 0 <= index < self._length:
             raise IndexError(f"frame {index} of a recording of {self._length}")
@@ -140,7 +153,7 @@ class Recording(NumberedFrames):
         )
 
     def read_colour(self, index: int) -> np.ndarray | None:
-        """The colour (H, W, 3) uint8 RGB of frame ``index`` alone, None where there is none; raises as :meth:`read`."""
+        """Return only the colour (H, W, 3) uint8 RGB of a frame, or None. The errors are those of :meth:`read`."""
         if not 0 <= index < self._length:
             raise IndexError(f"frame {index} of a recording of {self._length}")
         return self._read_colour(self._first + index)
@@ -154,13 +167,36 @@ class Recording(NumberedFrames):
 
 
 class RecordingWriter(Closing):
-    """Writes frames in the layout that :class:`Recording` reads. Every image appears whole or not at all.
+    """Writes frames in the layout that :class:`Recording` reads.
 
-    The tables (timestamps.csv and, if any frame has them, features.csv and irises.csv) grow row by row with the frames, so that
-    the folder is a readable recording at any moment. Use it as a context manager, or call :meth:`close`.
+    Every image appears completely or not at all. The tables (timestamps.csv and, if any frame has them, features.csv and
+    irises.csv) grow row by row with the frames. The folder is therefore a readable recording at any moment. Use the writer as a
+    context manager, or call :meth:`close`.
 
-    Depth is stored in ``depth_scale`` units per metre, 1 to 65,535 of them. ``colour_format`` is "jpg" (quality 95) or "png"
-    (lossless).
+    Parameters
+    ----------
+    folder : path-like
+        The folder, which must not hold a recording yet.
+    camera : Camera
+        The calibration.
+    fps : float
+        Frames per second.
+    depth_scale : float
+        Units per metre in which depth is stored. A pixel holds 1 to 65,535 of them.
+    colour_format : str
+        "jpg" (quality 95) or "png" (lossless).
+
+    Attributes
+    ----------
+    reserved : int
+        Number of frames so far.
+    moving_lens : bool
+        Whether a frame had another camera than ``camera``, so that intrinsics.csv was written.
+
+    Raises
+    ------
+    FileFormatError
+        The folder already holds a recording, or a value is impossible.
     """
 
     def __init__(
@@ -191,15 +227,30 @@ class RecordingWriter(Closing):
             temporary.write_text(intrinsics_json(self.camera, self.fps, self.depth_scale))
 
     def write(self, frame: RgbdFrame) -> int:
-        """Append ``frame``, and return its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
+        """Append a frame, and return its number. Depth beyond the 16-bit range is stored as 0 (no measurement)."""
         number = self.reserve(frame)
         self.write_images(number, frame)
         return number
 
     def reserve(self, frame: RgbdFrame) -> int:
-        """Append ``frame`` to the tables on the disk, and return the number under which to write its images.
+        """Append a frame to the tables on the disk. This comes before its images, so that every frame has its features.
 
-        The tables come first, so that a frame on the disk always has its features. Raises OSError on a full disk.
+        Parameters
+        ----------
+        frame : RgbdFrame
+            The frame.
+
+        Returns
+        -------
+        int
+            The number for :meth:`write_images`.
+
+        Raises
+        ------
+        FileFormatError
+            The frame has another size than the camera.
+        OSError
+            The disk is full.
         """
         if frame.depth.shape != (self.camera.height, self.camera.width):
             size = f"{self.camera.width} x {self.camera.height} pixels"
@@ -218,7 +269,7 @@ class RecordingWriter(Closing):
         return number
 
     def write_images(self, number: int, frame: RgbdFrame) -> None:
-        """Write the images of a reserved ``frame``. Several threads may do so at the same time."""
+        """Write the images of a frame whose ``number`` is reserved. Several threads may do so at the same time."""
         units = np.rint(frame.depth.astype(float) * (self.depth_scale / 1000.0))
         units[~((units >= 1) & (units <= 65_535))] = 0
         write_image(self.path / "depth" / f"{number:05d}.png", units.astype(np.uint16))
@@ -232,7 +283,7 @@ class RecordingWriter(Closing):
 
 
 def _numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    """Frame number -> image file, for the files of ``folder`` whose name is a number."""
+    """Return the image files of a folder by frame number. Files whose name is no number are ignored."""
     if not folder.is_dir():
         return {}
     files = {}
