@@ -41,18 +41,45 @@ def quiet() -> Iterator[None]:
 
 
 def camera_of_view(width: int, height: int, field_of_view: float = FIELD_OF_VIEW) -> Camera:
-    """A camera of ``width`` x ``height`` px with square pixels that sees ``field_of_view`` degrees.
+    """Return a camera with square pixels.
 
-    The angle is measured across the longer side, because turning a phone upright does not change its lens.
+    Parameters
+    ----------
+    width, height : int
+        Size of the pictures, px.
+    field_of_view : float
+        Angle across the longer side, degrees. The longer side is used because turning a phone upright does not change its lens.
+
+    Returns
+    -------
+    Camera
+        The calibration. Its principal point is the middle of the pictures.
     """
     focal = max(width, height) / 2 / math.tan(math.radians(field_of_view) / 2)
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: float | None) -> Camera:
-    """The camera of ``field_of_view`` degrees. With None: that of ``intrinsics`` (a JSON file) if it exists, else a guess.
+    """Find the camera of a video.
 
-    Raises :class:`FileFormatError` where the file is malformed or belongs to pictures of another size.
+    Parameters
+    ----------
+    width, height : int
+        Size of the pictures, px.
+    intrinsics : Path
+        A JSON file with the calibration. It is used if it exists and ``field_of_view`` is None.
+    field_of_view : float or None
+        Angle across the longer side, degrees. If it is None and there is no file, the angle is a guess.
+
+    Returns
+    -------
+    Camera
+        The calibration.
+
+    Raises
+    ------
+    FileFormatError
+        The file is malformed, or belongs to pictures of another size.
     """
     if field_of_view is not None or not intrinsics.is_file():
         return camera_of_view(width, height, FIELD_OF_VIEW if field_of_view is None else field_of_view)
@@ -66,7 +93,20 @@ def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: fl
 
 
 def as_rgb(picture: np.ndarray, mirrored: bool = False) -> np.ndarray:
-    """(H, W, 3) uint8 RGB from OpenCV's BGR or grey picture; ``mirrored``: flipped left to right."""
+    """Convert a picture of OpenCV.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) or (H, W) uint8
+        A picture in BGR or grey.
+    mirrored : bool
+        Whether to flip it left to right.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        The picture in RGB.
+    """
     if picture.ndim == 2:
         picture = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
     picture = picture[:, ::-1, 2::-1] if mirrored else picture[:, :, 2::-1]

@@ -53,13 +53,19 @@ _ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind,
 
 
 def plays(path: Path) -> bool:
-    """Whether ``path`` is a file that one of the ``PLAYERS`` reads. An .mkv is one unless it is a plain video."""
+    """Return whether one of the ``PLAYERS`` reads a file. An .mkv is played unless it is a plain video."""
     suffix = path.suffix.lower()
     return suffix in PLAYERS and path.is_file() and not (suffix == ".mkv" and is_plain_video(path))
 
 
 class FilePlayer(Driver):
-    """Plays the recording at ``path`` with the driver for its suffix, frame by frame as it is read."""
+    """Plays a recording with the driver for its suffix, frame by frame as it is read.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    """
 
     live, reopens = False, False
 
@@ -86,7 +92,7 @@ class FilePlayer(Driver):
         self.camera = Camera(**opened["camera"])
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next pair of depth and colour; None while the file delivers none."""
+        """Return the next pair of depth and colour, or None while the file delivers none."""
         message = self._message()
         if message["kind"] == "none":
             return None
@@ -138,7 +144,7 @@ class FilePlayer(Driver):
 
 
 def _environment() -> dict[str, str]:
-    """The child's environment, in which it imports this copy of the package, wherever that is installed."""
+    """Return the child's environment, in which it imports this copy of the package, wherever that is installed."""
     home = str(Path(__file__).resolve().parents[2])
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (home, os.environ.get("PYTHONPATH"))))}
 
@@ -156,7 +162,7 @@ def main(path: Path) -> None:
     except AdaptiveFaceError as error:
         _say(pipe, kind="error", error=type(error).__name__, text=str(error))
     except OSError:
-        pass  # nobody reads any more
+        pass  # the reader is gone
     except Exception as error:  # a library may raise anything on a damaged file
         text = f"{path}: cannot be read ({error or type(error).__name__})"
         _say(pipe, kind="error", error="SensorError", text=text)
@@ -188,7 +194,7 @@ def _play(driver: CameraOrFile, pipe: BinaryIO) -> None:
 
 
 def _in_time(call: Callable, *arguments):
-    """The call's result. If it takes too long, this process ends, even if the library never releases the interpreter."""
+    """Return the result of a call. If the call takes too long, this process ends, even if the library never returns."""
     faulthandler.dump_traceback_later(PATIENCE_SECONDS, exit=True)
     try:
         return call(*arguments)

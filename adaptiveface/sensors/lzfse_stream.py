@@ -13,7 +13,7 @@ _END, _STORED, _COMPRESSED, _LZVN = b"bvx$", b"bvx-", b"bvx2", b"bvxn"
 
 
 def lzfse_module():
-    """The library; raises :class:`DriverMissingError`."""
+    """Return the library. Raises :class:`DriverMissingError`."""
     try:
         import lzfse
     except ImportError:
@@ -22,7 +22,27 @@ def lzfse_module():
 
 
 def decompress(packed: bytes, size: int, name: str) -> bytes:
-    """Unpack to exactly ``size`` bytes; raises :class:`FrameError` naming ``name`` for anything else."""
+    """Unpack LZFSE data of a known size.
+
+    Parameters
+    ----------
+    packed : bytes
+        The data.
+    size : int
+        The unpacked size, bytes.
+    name : str
+        Name of the data, for messages.
+
+    Returns
+    -------
+    bytes
+        The content.
+
+    Raises
+    ------
+    FrameError
+        The data is damaged, or has another unpacked size.
+    """
     library = lzfse_module()
     declared = unpacked_size(packed, name)
     if declared != size:
@@ -37,7 +57,7 @@ def decompress(packed: bytes, size: int, name: str) -> bytes:
 
 
 def unpacked_size(packed: bytes, name: str) -> int:
-    """The unpacked size in bytes, by the block headers. Raises :class:`FrameError` for inconsistent headers."""
+    """Return the unpacked size in bytes, according to the headers. Raises :class:`FrameError` if they are inconsistent."""
     position, total = 0, 0
     try:
         while packed[position : position + 4] != _END:
@@ -52,7 +72,7 @@ def unpacked_size(packed: bytes, name: str) -> int:
 
 
 def _block_length(packed: bytes, position: int, magic: bytes, raw: int) -> int:
-    """Bytes of the block with its header; 0 for an unknown one."""
+    """Return the length of a block with its header, bytes. It is 0 for an unknown block."""
     if magic == _STORED:
         return 8 + raw
     if magic == _LZVN:

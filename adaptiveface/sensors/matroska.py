@@ -22,7 +22,7 @@ _MAX_SEARCHED, _MAX_ELEMENTS = 4 << 20, 200_000
 
 
 def is_plain_video(path: Path) -> bool:
-    """Whether ``path`` is a Matroska file without the marks of Azure Kinect's recorder; False for any other file."""
+    """Return whether a file is a Matroska video without the marks of Azure Kinect's recorder."""
     try:
         with open_regular(path, 1 << 62) as stream:
             return _is_matroska(stream) and not _has_marks(stream, path.stat().st_size)
@@ -31,7 +31,7 @@ def is_plain_video(path: Path) -> bool:
 
 
 def _is_matroska(stream: BinaryIO) -> bool:
-    """Whether a segment follows the header. If so, the stream is left at its first element."""
+    """Return whether a segment follows the header. If so, the stream is left at its first element."""
     header = _element(stream)
     if header is None or header[0] != _EBML or header[1] is None:
         return False
@@ -44,7 +44,7 @@ def _has_marks(stream: BinaryIO, length: int) -> bool:
     for _ in range(_MAX_ELEMENTS):
         element = _element(stream)
         identifier, size = element or (0, None)
-        if size is None:  # the end; or a cluster of unknown size, as a broken-off file has it
+        if size is None:  # the end, or a cluster of unknown size as in a file that is cut off
             return False
         end = stream.tell() + size
         if identifier in (_TAGS, _TRACKS, _ATTACHMENTS):
@@ -58,7 +58,7 @@ def _has_marks(stream: BinaryIO, length: int) -> bool:
 
 
 def _element(stream: BinaryIO) -> tuple[int, int | None] | None:
-    """Identifier and size of the element that begins here (None: unknown size); None at the end or where there is none."""
+    """Return identifier and size of the element that begins here, or None if there is none. An unknown size is None."""
     identifier, _ = _number(stream, most=4, keep_marker=True)
     size, width = _number(stream, most=8, keep_marker=False)
     if identifier is None or size is None:
@@ -67,7 +67,7 @@ def _element(stream: BinaryIO) -> tuple[int, int | None] | None:
 
 
 def _number(stream: BinaryIO, most: int, keep_marker: bool) -> tuple[int | None, int]:
-    """A number whose first bits tell its width in bytes, and that width; (None, 0) where there is none."""
+    """Return a number whose first bits tell its width in bytes, and that width; (None, 0) if there is none."""
     first = stream.read(1)
     if not first or not first[0]:
         return None, 0

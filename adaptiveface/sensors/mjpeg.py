@@ -27,9 +27,16 @@ _MAX_LINE, _MAX_LINES, _CHUNK = 4096, 64, 1 << 16
 
 
 class MjpegStream:
-    """An open stream. Like OpenCV's captures, ``read()`` returns (True, (H, W, 3) uint8 BGR), or (False, None) at its end.
+    """An open stream, which is read as OpenCV's captures are.
 
-    Errors call it ``name``. Raises :class:`SensorError` for pictures that no camera sends.
+    Parameters
+    ----------
+    response : http.client.HTTPResponse
+        The answer of the camera.
+    boundary : bytes
+        The mark between two pictures.
+    name : str
+        Name of the camera, for messages.
     """
 
     def __init__(self, response, boundary: bytes, name: str) -> None:
@@ -38,7 +45,20 @@ class MjpegStream:
         self._kept = b""  # received, but not used yet
 
     def read(self) -> tuple[bool, np.ndarray | None]:
-        """The next picture; raises :class:`SensorError`."""
+        """Return the next picture.
+
+        Returns
+        -------
+        found : bool
+            Whether there is a picture that can be decoded.
+        picture : (H, W, 3) uint8 or None
+            The picture in BGR.
+
+        Raises
+        ------
+        SensorError
+            The stream sends something that no camera sends.
+        """
         try:
             content = self._part()
         except (OSError, HTTPException):
@@ -51,7 +71,7 @@ class MjpegStream:
         self._response.close()
 
     def _part(self) -> bytes | None:
-        """The content of the next part; None at the end of the stream."""
+        """Return the content of the next part, or None at the end of the stream."""
         length, begun = None, False
         for _ in range(_MAX_LINES):
             line = self._line()
@@ -133,10 +153,28 @@ class MjpegStream:
 
 
 def open_mjpeg(address: str, name: str, timeout: float) -> MjpegStream | None:
-    """Open the stream at an http(s) address; None if it is not one of JPEGs.
+    """Open the stream at an address.
 
-    ``timeout`` s for the connection and every read. Raises :class:`SensorError` for an address of single pictures, OSError
-    where nobody answers.
+    Parameters
+    ----------
+    address : str
+        An http or https address. It may hold a user name and a password.
+    name : str
+        Name of the camera, for messages.
+    timeout : float
+        Longest time for the connection and for every read, s.
+
+    Returns
+    -------
+    MjpegStream or None
+        The stream, or None if it is not a stream of JPEGs.
+
+    Raises
+    ------
+    SensorError
+        The address gives single pictures.
+    OSError
+        Nobody answers.
     """
     request = urllib.request.Request(_without_login(address))
     parts = urlsplit(address)

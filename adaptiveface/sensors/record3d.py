@@ -38,19 +38,23 @@ _MAX_DEPTH_SIDE = 2048
 class R3dRecording(NumberedFrames):
     """A Record3D recording, read frame by frame.
 
-    ``len()``, ``read(index)`` and iteration give the frames; iteration skips the broken ones. Each frame has its own camera if
-    the file holds one per frame.
+    Each frame has its own camera if the file holds one per frame.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
 
     Attributes
     ----------
     camera : Camera
-        Of the first frame.
+        The calibration of frames that have none of their own.
     fps : float
         Frames per second.
     name : str
-        Of the file.
-    timestamps : (F,)
-        Seconds.
+        Name of the file, without the suffix.
+    timestamps : (F,) float64
+        Times of the frames, s.
     notes : tuple of str
         What was converted or repaired in the timestamps.
 
@@ -100,7 +104,25 @@ class R3dRecording(NumberedFrames):
         return len(self._frame_numbers)
 
     def read(self, index: int) -> RgbdFrame:
-        """Frame ``index``: depth (dh, dw) float32 mm, colour scaled to it; raises :class:`FrameError`, IndexError."""
+        """Return a frame.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame (0-based).
+
+        Returns
+        -------
+        RgbdFrame
+            The frame. Its depth is (dh, dw) float32 in mm, and its colour is scaled to the same size.
+
+        Raises
+        ------
+        FrameError
+            The frame cannot be used.
+        IndexError
+            There is no frame of this number.
+        """
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of a recording of {len(self)}")
         number = self._frame_numbers[index]
@@ -139,7 +161,7 @@ class R3dRecording(NumberedFrames):
             raise FrameError(f"{self.path}: {entry}: not readable as an image ({error})") from None
 
     def _entry(self, entry: str, limit: int) -> bytes:
-        """Content of ``entry``. The size that the zip declares is checked first, and enforced while unpacking."""
+        """Return the content of an entry. Its declared size is checked first, and enforced while unpacking."""
         try:
             member = self._zip.member(entry)
             if member.file_size > limit:
@@ -173,7 +195,7 @@ class R3dRecording(NumberedFrames):
         return value
 
     def _times(self, given) -> FrameTimes:
-        """Times of the existing frames: those of the file if it has one for every frame, else by the frame rate."""
+        """Return the times of the existing frames: the file's if it has all of them, or else those of the frame rate."""
         numbers = np.array(self._frame_numbers)
         known = dict(enumerate(numbers / self.fps))
         if isinstance(given, list) and len(given) > numbers[-1] and all(_is_time(given[number]) for number in numbers):
@@ -196,7 +218,20 @@ class R3dRecording(NumberedFrames):
 
 
 def scaled_camera(picture: Camera, depth: tuple[int, int]) -> Camera:
-    """Scale the camera of a picture to the depth's size (width, height), px. The first pixel's edge is at -0.5."""
+    """Scale the camera of a picture to the size of the depth.
+
+    Parameters
+    ----------
+    picture : Camera
+        The calibration of the picture.
+    depth : (int, int)
+        Width and height of the depth, px.
+
+    Returns
+    -------
+    Camera
+        The calibration of the depth. The edge of the first pixel is at -0.5.
+    """
     sx, sy = depth[0] / picture.width, depth[1] / picture.height
     return Camera(*depth, picture.fx * sx, picture.fy * sy, (picture.cx + 0.5) * sx - 0.5, (picture.cy + 0.5) * sy - 0.5)
 

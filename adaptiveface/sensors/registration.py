@@ -20,9 +20,16 @@ EDGE_MM = 10.0
 
 @dataclass(frozen=True)
 class Lens:
-    """Calibration of one camera: ``width``, ``height`` and ``matrix`` (3, 3) in pixels.
+    """Calibration of one camera with a distorting lens.
 
-    ``distortion`` (8,) holds k1, k2, p1, p2, k3, k4, k5, k6 of the rational model, in OpenCV's order.
+    Attributes
+    ----------
+    width, height : int
+        Size of the image, px.
+    matrix : (3, 3)
+        Intrinsic matrix, px.
+    distortion : (8,)
+        k1, k2, p1, p2, k3, k4, k5 and k6 of the rational model, in OpenCV's order.
     """
 
     width: int
@@ -32,10 +39,28 @@ class Lens:
 
 
 class Registration:
-    """Maps depth and pictures to the pinhole ``camera`` that the depth camera is without its distortion.
+    """Maps depth and pictures to the pinhole camera that the depth camera is without its distortion.
 
-    ``rotation`` (3, 3) and ``translation`` (3,) mm take points from the depth camera to the colour camera. ``colour`` is None
-    where there are no pictures. Raises :class:`adaptiveface.errors.FileFormatError` for impossible calibrations.
+    Parameters
+    ----------
+    depth : Lens
+        The depth camera.
+    colour : Lens, optional
+        The colour camera. It is None if there are no pictures.
+    rotation : (3, 3), optional
+        Rotation of points from the depth camera to the colour camera. By default, there is none.
+    translation : (3,)
+        Translation of the rotated points, mm.
+
+    Attributes
+    ----------
+    camera : Camera
+        The pinhole camera.
+
+    Raises
+    ------
+    adaptiveface.errors.FileFormatError
+        A calibration is impossible.
     """
 
     def __init__(self, depth: Lens, colour: Lens | None = None, rotation=None, translation=(0.0, 0.0, 0.0)) -> None:
@@ -74,7 +99,7 @@ class Registration:
         return np.where(cv2.remap(smooth, *self._maps, cv2.INTER_NEAREST) > 0, between, nearest)
 
     def image(self, picture: np.ndarray) -> np.ndarray:
-        """Remove the lens distortion from a ``picture`` (H, W, 3) that the depth camera itself took."""
+        """Remove the lens distortion from a picture (H, W, 3) that the depth camera itself took."""
         return picture if self._maps is None else cv2.remap(picture, *self._maps, cv2.INTER_LINEAR)
 
     def colour(self, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -107,7 +132,7 @@ class Registration:
 
 
 def _undistortion(lens: Lens) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where each pixel of a pinhole camera lies in the lens's image, (H, W) float32 u and v; None if nothing moves."""
+    """Return the place (H, W) float32 u and v of each pinhole pixel in the lens's image, or None if no pixel moves."""
     if not np.any(lens.distortion):
         return None
     size, k = (lens.width, lens.height), np.asarray(lens.matrix, float)

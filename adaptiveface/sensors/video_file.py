@@ -16,14 +16,14 @@ from .numbered import NumberedFrames
 from .video_probe import MAX_BYTES, too_large
 from .video_stream import pictures, read_index
 
-#: Suffixes of plain videos. An .mkv of Azure Kinect's recorder is none: its depth must not be lost silently.
+#: Suffixes of plain videos. An .mkv of Azure Kinect's recorder is no plain video, and its depth must not be lost silently.
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".webm", ".mkv", ".wmv", ".mpg", ".mpeg", ".mts", ".3gp", ".flv", ".ogv")
-#: Of these FFmpeg knows the streams only after it has looked into them, and takes no limit for that.
+#: FFmpeg finds the streams of these files only by decoding, and accepts no limit for that.
 _LATE_STREAMS = (".mpg", ".mpeg", ".mts", ".flv")
 
 
 def is_video(path: str | os.PathLike) -> bool:
-    """Whether ``path`` is a file with a suffix of plain videos, and not a depth camera's recording."""
+    """Return whether a file has a suffix of plain videos, and is not a depth camera's recording."""
     path = Path(path)
     if path.suffix.lower() not in VIDEO_SUFFIXES or not path.is_file():
         return False
@@ -91,7 +91,25 @@ class VideoFile(NumberedFrames):
         return len(self.timestamps)
 
     def read(self, index: int) -> RgbdFrame:
-        """Frame ``index`` (0-based), quick in order. Raises :class:`FrameError`, :class:`IndexError` outside."""
+        """Return a frame. Reading is quick in order.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame (0-based).
+
+        Returns
+        -------
+        RgbdFrame
+            The frame.
+
+        Raises
+        ------
+        FrameError
+            The frame cannot be decoded.
+        IndexError
+            There is no frame of this number.
+        """
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of a video of {len(self)}")
         picture = self._decode(index)
@@ -103,13 +121,16 @@ class VideoFile(NumberedFrames):
         return RgbdFrame(depth, self.camera, picture, index, float(self.timestamps[index]))
 
     def close(self) -> None:
-        """Release the file; reading opens it again."""
+        """Release the file. Reading opens it again."""
         pictures, self._pictures, self._found = self._pictures, None, None
         if pictures is not None:
             pictures.close()
 
     def _decode(self, index: int) -> np.ndarray | None:
-        """The picture (H, W, 3) RGB of a frame, decoding from the start where it lies behind: exact, unlike seeking."""
+        """Return the RGB (H, W, 3) of a frame, or None.
+
+        To go back, the film is decoded from its start, because seeking is not exact.
+        """
         if self._pictures is None or (self._found is not None and index < self._found[0]):
             self.close()
             self._pictures = pictures(self.path)
@@ -124,7 +145,7 @@ class VideoFile(NumberedFrames):
         return self._found[1] if self._found[0] == index else None
 
     def _number(self, stamp: int | None) -> int | None:
-        """Which frame has a stamp, None for one that does not play."""
+        """Return the number of the frame that has a stamp, or None if that frame does not play."""
         if self._stamps is None:
             return 0 if self._found is None else self._found[0] + 1
         place = int(np.searchsorted(self._stamps, stamp)) if stamp is not None else len(self)

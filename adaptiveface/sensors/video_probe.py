@@ -8,7 +8,7 @@ or if a limit was reached. It imports nothing of the package, so that it starts 
 import subprocess
 import sys
 
-#: Memory that opening and the first picture may take; a film of 4K takes half of it.
+#: Memory that opening and the first picture may take, bytes. A film of 4K takes half of it.
 MAX_BYTES = 256 << 20
 MAX_PIXELS = 1 << 25
 
@@ -18,9 +18,17 @@ PATIENCE_SECONDS = 20.0
 
 
 def too_large(address: str) -> bool:
-    """Whether the first picture of a file or stream takes more memory than any film for a face does, or never comes.
+    """Return whether the first picture of a video takes more memory than any film of a face does, or never comes.
 
-    Only Linux holds a process to a limit; elsewhere False.
+    Parameters
+    ----------
+    address : str
+        The path of a file, or the address of a stream.
+
+    Returns
+    -------
+    bool
+        The answer. It is always False on systems other than Linux, which do not limit the memory of a process.
     """
     if sys.platform != "linux":
         return False
@@ -35,7 +43,7 @@ def too_large(address: str) -> bool:
 
 
 def main(address: str) -> int:
-    """Open and read one picture; the exit status."""
+    """Open a video and read one picture. Returns the exit status."""
     import resource
 
     import cv2

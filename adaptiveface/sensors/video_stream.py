@@ -1,7 +1,7 @@
 """Read the video stream of a file with PyAV: which frames are shown, when, and their pictures in order.
 
-OpenCV reports the number of frames in the index, whatever edit lists and damage leave of them, and a single rate. FFmpeg's
-demuxer knows better: its packets say when each frame is shown and which ones the edit list leaves out.
+OpenCV reports a single rate and the number of frames in the index, although edit lists and damage may leave fewer. FFmpeg's
+demuxer knows better: its packets tell when each frame is shown, and which frames the edit list leaves out.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from ..errors import FileFormatError, MissingExtraError
 from ..geometry.camera import MAX_PIXELS
 from ..runtime.timing import DEFAULT_RATE, frame_rate, standard_rate
 
-#: The last frames are decoded to find where a file ends, unless they are more than this and nothing is missing.
+#: The last frames are decoded to find the end of a file, unless there are more than this and nothing is missing.
 MAX_TAIL = 600
 #: Files that name other files or addresses (a playlist under a video's name) are refused.
 _FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,asf,mpegts,mpeg,mpegvideo,flv,ogg"
 _ONLY = {"protocol_whitelist": "file", "format_whitelist": _FORMATS}
-#: FFmpeg's own limit: it also holds while the streams are looked at, and where the size changes within a film.
+#: FFmpeg's own limit. It also applies while the streams are examined, and when the size changes within a film.
 _LIMITS = {"max_pixels": str(MAX_PIXELS)}
 
 
 @lru_cache(maxsize=1)
 def av_module():
-    """PyAV, which is quiet unless a log level is set (then its decoding threads may wait for ever for Python's lock).
+    """Return PyAV. Raises :class:`MissingExtraError` if it is not installed.
 
-    Raises :class:`MissingExtraError`.
+    No log level may be set, because its decoding threads may then wait for ever for Python's lock.
     """
     try:
         import av
@@ -43,9 +43,18 @@ def av_module():
 
 @dataclass(frozen=True)
 class VideoIndex:
-    """``seconds`` (F,) from the first frame shown; ``stamps`` (F,) int64 in the stream's unit, None where it has none.
+    """The frames of a video that play.
 
-    ``fps`` frames per second; ``stated``: how many frames the file promises to show; more than F where it is cut off.
+    Attributes
+    ----------
+    seconds : (F,)
+        Time of each frame after the first one, s.
+    stamps : (F,) int64 or None
+        Time of each frame in the stream's unit, if the stream has times.
+    fps : float
+        Frames per second.
+    stated : int
+        Number of frames that the file promises. It is larger than F if the file is cut off.
     """
 
     seconds: np.ndarray
@@ -56,7 +65,7 @@ class VideoIndex:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple]:
-    """The container and its picture stream; FFmpeg's errors as :class:`FileFormatError`."""
+    """Open a file. Yields the container and its picture stream, and turns FFmpeg's errors into :class:`FileFormatError`."""
     av = av_module()
     try:
         with av.open(str(path), options=_ONLY | _LIMITS, metadata_errors="replace") as container:
@@ -79,12 +88,28 @@ def _is_cover(stream) -> bool:
 
 
 def read_index(path: Path) -> VideoIndex:
-    """The frames of a video that play. Raises :class:`FileFormatError` where there is none."""
+    """Find the frames of a video that play.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    VideoIndex
+        The frames.
+
+    Raises
+    ------
+    FileFormatError
+        The file is not a video that can be decoded.
+    """
     with _opened(path) as (container, stream):
         rate, stated = float(stream.average_rate or stream.guessed_rate or 0), int(stream.frames)
         rate = standard_rate(rate) if 0.1 <= rate <= 1000 else DEFAULT_RATE
         shown, keys, listed = _packets(container, stream)
-        if shown is None:  # AVI: no times, constant rate by its nature
+        if shown is None:  # an AVI has no times but a constant rate
             return VideoIndex(np.arange(_count(container, stream)) / rate, None, rate, stated)
         promised = len(shown) + max(0, stated - listed)
         tail = int((shown >= keys[-1]).sum()) if len(keys) else len(shown)
@@ -95,7 +120,7 @@ def read_index(path: Path) -> VideoIndex:
 
 
 def _packets(container, stream) -> tuple[np.ndarray | None, np.ndarray, int]:
-    """Stamps of the frames that play, in order, those of the key frames, and how many packets there are."""
+    """Return the sorted stamps of the frames that play and of the key frames, and the number of packets."""
     shown, keys, listed = [], [], 0
     timed = "avi" not in container.format.name.split(",")
     for packet in _demuxed(container, stream):
@@ -110,7 +135,7 @@ def _packets(container, stream) -> tuple[np.ndarray | None, np.ndarray, int]:
 
 
 def _demuxed(container, stream) -> Iterator:
-    """Packets with content, up to the end or to where the file is cut."""
+    """Yield the packets with content, up to the end or to the place where the file is cut off."""
     packets = container.demux(stream)
     while True:
         try:
@@ -122,7 +147,7 @@ def _demuxed(container, stream) -> Iterator:
 
 
 def _last_decodable(container, stream, keys: np.ndarray) -> int:
-    """Stamp of the last frame that can be decoded: a file that is cut off lists frames behind it."""
+    """Return the stamp of the last frame that can be decoded. A file that is cut off lists frames behind it."""
     for key in keys[::-1][:3]:
         container.seek(int(key), stream=stream, backward=True)
         last = max(_sound(container, stream), default=None)
@@ -133,7 +158,7 @@ def _last_decodable(container, stream, keys: np.ndarray) -> int:
 
 
 def _sound(container, stream) -> Iterator[int]:
-    """Stamps of the frames from here on that can be decoded without damage."""
+    """Yield the stamps of the frames from here on that can be decoded without damage."""
     return (f.pts for f in _decoded(container, stream) if f.pts is not None and not f.is_corrupt)
 
 
@@ -143,7 +168,7 @@ def _count(container, stream) -> int:
 
 
 def _decoded(container, stream) -> Iterator:
-    """Frames in the order in which they are shown; damaged packets are passed over."""
+    """Yield the frames in the order in which they are shown. Damaged packets are skipped."""
     error = av_module().error.FFmpegError
     for packet in _demuxed(container, stream):
         try:
@@ -157,7 +182,20 @@ def _decoded(container, stream) -> Iterator:
 
 
 def pictures(path: Path) -> Generator[tuple[int | None, np.ndarray], None, None]:
-    """Stamp and picture (H, W, 3) uint8 RGB of every frame in order, upright as the file's rotation says."""
+    """Decode a video.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Yields
+    ------
+    stamp : int or None
+        Time of a frame in the stream's unit.
+    picture : (H, W, 3) uint8
+        The frame's RGB picture, turned by the rotation that the file states.
+    """
     with _opened(path) as (container, stream):
         for frame in _decoded(container, stream):
             if not frame.is_corrupt:

@@ -1,7 +1,8 @@
 """A colour camera through OpenCV: ``webcam[:INDEX]``, or ``webcam:http://...`` for the stream of a network camera.
 
-Colour only: depth is 0 everywhere, and tracking is the degraded mode of ``tracking/colour_tracker.py``. Such a
-camera does not report its field of view, which is assumed, nor when a picture was taken, for which its arrival is used.
+Such a camera measures no depth. Depth is 0 everywhere, and tracking is the degraded mode of ``tracking/colour_tracker.py``. The
+camera does not report its field of view, so that is assumed. It does not report the time of a picture either, so the time of
+arrival is used.
 """
 
 from __future__ import annotations
@@ -23,21 +24,31 @@ from .driver import Driver, RawFrame
 from .mjpeg import MjpegStream, open_mjpeg
 from .video_probe import MAX_BYTES, MAX_PIXELS, too_large
 
-#: Where Linux lists its cameras, and what it tells about them.
+#: Folders in which Linux lists its cameras, and describes them.
 DEVICES, ABOUT = Path("/dev"), Path("/sys/class/video4linux")
-#: So many failed reads in a row mean that the camera is gone; a single one may be a damaged picture.
+#: So many failed reads in a row mean that the camera is gone. A single one may be a damaged picture.
 MOST_FAILURES, RETRY_SECONDS = 5, 0.02
-#: Most cameras tried by index where the system has no list of them.
+#: Largest number of cameras that are tried by index on systems without a list of them.
 MOST_INDICES = 4
-#: Longest wait for a network camera, ms: to answer at all, and for a picture.
+#: Longest time that a network camera may take to answer at all, and to send a picture, ms.
 OPEN_MS, READ_MS = 5000, 2000
-#: What the list of sensors says about every one.
+#: What the list of sensors states about every camera.
 NOTE = "colour only: no depth, degraded"
 
 
 @dataclass(frozen=True)
 class WebcamOptions:
-    """``device``: a number or the address of a stream; ``field_of_view`` degrees across the longer side; ``mirrored``."""
+    """The settings of a webcam.
+
+    Attributes
+    ----------
+    device : int or str
+        The number of a camera, or the address of a stream.
+    field_of_view : float
+        Angle across the longer side, degrees.
+    mirrored : bool
+        Whether pictures are flipped left to right.
+    """
 
     device: int | str = 0
     field_of_view: float = FIELD_OF_VIEW
@@ -45,7 +56,7 @@ class WebcamOptions:
 
     @classmethod
     def parse(cls, text: str) -> WebcamOptions:
-        """From ``[INDEX|http://...][,fov=DEGREES][,mirrored]``; raises :class:`ParameterError`."""
+        """Read the settings from ``[INDEX|http://...][,fov=DEGREES][,mirrored]``. Raises :class:`ParameterError`."""
         device, *settings = text.split(",") if text else [""]
         field_of_view, mirrored = FIELD_OF_VIEW, False
         for setting in settings:
@@ -64,7 +75,7 @@ class WebcamOptions:
 
 
 def _label(device: int | str) -> str:
-    """The number, or the host of an address: it may hold a password."""
+    """Return the number, or only the host of an address, which may hold a password."""
     return str(device) if isinstance(device, int) else urlsplit(device).hostname or "stream"
 
 
@@ -80,7 +91,15 @@ def _degrees(text: str, value: str) -> float:
 
 
 class WebcamDriver(Driver):
-    """One colour camera, asked for ``size`` (width, height) px at 30 frames a second; it may answer with another."""
+    """A colour camera.
+
+    Parameters
+    ----------
+    options : WebcamOptions
+        The camera and its settings.
+    size : (int, int)
+        Width and height of the pictures that are asked for, px. The camera may send another size.
+    """
 
     live, has_features, colour_only, depth_scale = True, False, True, 10_000.0
     description = f"colour camera ({NOTE})"
@@ -92,17 +111,25 @@ class WebcamDriver(Driver):
 
     @classmethod
     def named(cls, argument: str) -> Callable[[], Driver]:
-        """The camera of ``[INDEX|http://...][,fov=DEGREES][,mirrored]``."""
+        """Return a function that makes the driver of ``[INDEX|http://...][,fov=DEGREES][,mirrored]``."""
         options = WebcamOptions.parse(argument)
         return lambda: cls(options)
 
     @classmethod
     def connected(cls) -> list[tuple[str, str, str]]:
-        """(index, name, state) of every colour camera."""
+        """Return (index, name, state) of every colour camera."""
         return [(index, f"{name} ({NOTE})", state) for index, name, state in connected_webcams()]
 
     def open(self) -> None:
-        """Start the camera; raises :class:`SensorNotFoundError` or :class:`SensorError` (busy, not allowed)."""
+        """Start the camera.
+
+        Raises
+        ------
+        SensorNotFoundError
+            There is no such camera.
+        SensorError
+            The camera is busy, or its use is not allowed.
+        """
         device = self.options.device
         if isinstance(device, int) and sys.platform == "linux":
             _check_linux(self.name, device)
@@ -121,7 +148,7 @@ class WebcamDriver(Driver):
         self.fps = rate if 1.0 <= rate <= 240.0 else 30.0
 
     def _open_mjpeg(self, address: str) -> bool:
-        """Open an MJPEG stream, as most cameras send; whether it is one. OpenCV tries anything else."""
+        """Open an MJPEG stream, as most cameras send it. Returns whether it is one. OpenCV tries anything else."""
         if not address.startswith(("http://", "https://")):
             return False
         try:
@@ -133,7 +160,10 @@ class WebcamDriver(Driver):
         return self._capture is not None
 
     def grab(self, timeout: float) -> RawFrame | None:
-        """The next picture. OpenCV's wait cannot be shortened: it lasts until the camera delivers a picture."""
+        """Return the next picture, or None if reading failed.
+
+        OpenCV's wait cannot be shortened. It lasts until the camera delivers a picture.
+        """
         if self._capture is None:
             raise self._not_open()
         with quiet():
@@ -152,7 +182,7 @@ class WebcamDriver(Driver):
         return RawFrame(depth, camera, as_rgb(picture, self.options.mirrored), self._count, time.perf_counter())
 
     def close(self) -> None:
-        """Stop the camera; its light goes out."""
+        """Stop the camera. Its light goes out."""
         capture, self._capture = self._capture, None
         if isinstance(capture, MjpegStream):
             capture.close()
@@ -162,9 +192,15 @@ class WebcamDriver(Driver):
 
 
 def connected_webcams() -> list[tuple[str, str, str]]:
-    """(index, name, state) of every colour camera; state is "ready" or why it cannot be opened.
+    """List the colour cameras.
 
-    Linux says so without starting one. Elsewhere each is opened for a moment, up to the first index that fails.
+    Linux lists them without starting any. On other systems, each camera is opened for a moment, up to the first index that
+    fails.
+
+    Returns
+    -------
+    list of tuple of str
+        Index, name and state of every camera. The state is "ready", or why the camera cannot be opened.
     """
     if sys.platform == "linux":
         return [(str(i), _linux_name(i), _linux_state(i)) for i in linux_cameras()]
@@ -181,7 +217,7 @@ def connected_webcams() -> list[tuple[str, str, str]]:
 
 
 def linux_cameras(devices: Path | None = None, about: Path | None = None) -> list[int]:
-    """Numbers of the /dev/video* nodes that are the first of a camera; the others carry its metadata."""
+    """Return the numbers of the /dev/video* nodes that are the first of a camera. Other nodes deliver its metadata."""
     devices, about = devices or DEVICES, about or ABOUT
     numbers = sorted(int(node.name[5:]) for node in devices.glob("video*") if node.name[5:].isdecimal())
     return [number for number in numbers if _text(about / f"video{number}" / "index") in ("", "0")]
@@ -225,7 +261,7 @@ def _open(device: int | str) -> cv2.VideoCapture:
     if isinstance(device, str):
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, READ_MS]
         return cv2.VideoCapture(device, cv2.CAP_FFMPEG, limits)
-    # Not whatever OpenCV finds: its depth-camera backend would be asked for an index, too.
+    # The backend is fixed, because OpenCV would also ask its backend of depth cameras for the index.
     backend = {"linux": cv2.CAP_V4L2, "win32": cv2.CAP_MSMF, "darwin": cv2.CAP_AVFOUNDATION}
     return cv2.VideoCapture(device, backend.get(sys.platform, cv2.CAP_ANY))
 
