@@ -20,10 +20,18 @@ from .truth import REPEAT, AnyTruth, GroundTruth
 
 @dataclass(frozen=True)
 class Variant:
-    """A pipeline with something left out.
+    """A pipeline without one of its parts.
 
-    ``stage`` is its output, ``changes`` are its parameters by name, and ``fit`` False holds the blendshape coefficients at
-    zero.
+    Attributes
+    ----------
+    name : str
+        What is left out.
+    stage : str
+        The mesh that is its output, "v1" to "v4".
+    changes : dict
+        Changed parameters by name.
+    fit : bool
+        Whether blendshapes are fitted. If not, the coefficients stay zero.
     """
 
     name: str
@@ -64,10 +72,29 @@ def run_ablations(
     first: int = 0,
     on_result: Callable[[Variant, TrackedFrame], None] | None = None,
 ) -> dict[str, Evaluation]:
-    """Track the same frames with every variant, and return the :class:`Evaluation` of its stage by its name.
+    """Track the same frames with every variant, and score its stage. The frames are read once.
 
-    ``truth`` is an argument of :meth:`GroundTruth.of`. Every ``stride``-th frame from number ``first`` on is scored. The
-    frames are read once. ``on_result`` is called with every variant's result of every frame.
+    Parameters
+    ----------
+    frames : iterable of RgbdFrame
+        The frames with their features.
+    truth : GroundTruth
+        The truth, or any other argument of :meth:`GroundTruth.of`.
+    actor : Actor
+        The rig.
+    parameters : Parameters, optional
+        The parameters of the full pipeline.
+    variants : iterable of Variant
+        The variants.
+    stride, first : int
+        Every ``stride``-th frame from number ``first`` on is scored.
+    on_result : callable, optional
+        A function that is called with every variant and its result of every frame.
+
+    Returns
+    -------
+    dict
+        An :class:`Evaluation` by the name of the variant.
     """
     parameters, truth, variants = parameters or Parameters(), GroundTruth.of(truth), tuple(variants)
     collectors = {variant.name: ErrorCollector(truth, actor, (variant.stage,)) for variant in variants}
@@ -109,5 +136,5 @@ class RestingFit(BlendshapeFit):
     """A fit that leaves the pose as it is, and the face in its neutral."""
 
     def fit(self, surface, features, camera, pose, *_, **__) -> tuple[np.ndarray, np.ndarray]:
-        """``pose`` (4, 4), and coefficients (A,) of zero."""
+        """Return ``pose`` (4, 4), and coefficients (A,) of zero."""
         return pose, np.zeros(len(self.basis))

@@ -1,4 +1,4 @@
-"""Coefficients against known ones: a synthetic performer who performs given coefficients of the generic expressions."""
+"""Compare coefficients with known ones: a synthetic performer performs given coefficients of the generic expressions."""
 
 from __future__ import annotations
 
@@ -14,13 +14,25 @@ from ..retargeting.resolve import blendshape_parameters
 from ..synthetic.sensor import SyntheticSensor
 from ..tracking.resolve import SparseResolve
 
-#: How a coefficient vector came about: the fit to the depth map (section 4.2), and two ways to solve once more from v4.
+#: Sources of a coefficient vector: the fit to the depth map (section 4.2), and two ways to solve for it again from v4.
 INITIAL, PLAIN, RESOLVED = "initial", "plain fit to v4", "re-solved"
 
 
 @dataclass(frozen=True)
 class KnownCoefficients:
-    """truth (F, A) and what was found, ``found[INITIAL | PLAIN | RESOLVED]`` (F, A); names (A,), timestamps (F,) s."""
+    """True and tracked coefficients of F frames and A expressions.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the expressions.
+    timestamps : (F,)
+        Times of the frames, s.
+    truth : (F, A)
+        The true coefficients.
+    found : dict
+        The tracked coefficients (F, A) by their source: ``INITIAL``, ``PLAIN`` and ``RESOLVED``.
+    """
 
     names: tuple[str, ...]
     timestamps: np.ndarray
@@ -28,18 +40,34 @@ class KnownCoefficients:
     found: dict[str, np.ndarray]
 
     def rms(self, name: str) -> float:
-        """Root mean square error over all frames and expressions."""
+        """Return the root mean square error of a source over all frames and expressions."""
         return float(np.sqrt(np.mean((self.found[name] - self.truth) ** 2)))
 
     def rms_by_expression(self, name: str) -> np.ndarray:
-        """(A,) root mean square error of every expression over all frames."""
+        """Return the root mean square error (A,) of every expression over all frames, for a source."""
         return np.sqrt(np.mean((self.found[name] - self.truth) ** 2, axis=0))
 
 
 def known_performance(sensor: SyntheticSensor, frames: int, neutral_frames: int = 24) -> tuple[SyntheticSensor, np.ndarray]:
-    """The same performer with a script of nothing but coefficients: (sensor without colour, truth (frames, A)).
+    """Let the same performer follow a script that consists only of coefficients.
 
-    What a coefficient does on this face is the performer's own affair: personal motion and folds follow as always.
+    Personal motion and folds follow the coefficients as usual.
+
+    Parameters
+    ----------
+    sensor : SyntheticSensor
+        The sensor of the performer.
+    frames : int
+        Length of the performance, frames.
+    neutral_frames : int
+        Length of the neutral scan before it, frames.
+
+    Returns
+    -------
+    sensor : SyntheticSensor
+        A sensor without colour.
+    truth : (frames, A)
+        The coefficients of the script.
     """
     known = SyntheticSensor(sensor.seed, sensor.noise, neutral_frames, frames, 1, colour=False, performer=sensor.performer)
     model = sensor.performer.model
@@ -52,7 +80,24 @@ def known_performance(sensor: SyntheticSensor, frames: int, neutral_frames: int 
 
 
 def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, actor: Actor) -> KnownCoefficients:
-    """Initial and re-solved coefficients of a tracked :func:`known_performance` beside the truth (frames, A)."""
+    """Compare the coefficients of a tracked :func:`known_performance` with the truth.
+
+    Parameters
+    ----------
+    sensor : SyntheticSensor
+        The sensor that was tracked.
+    truth : (frames, A)
+        The coefficients of the script.
+    result : Result
+        The result.
+    actor : Actor
+        The rig that was tracked.
+
+    Returns
+    -------
+    KnownCoefficients
+        The true and the tracked coefficients.
+    """
     part = slice(sensor.neutral_frames, None)
     names = tuple(result.expression_names)
     plain = SparseResolve.of(result.rig(actor), names, replace(blendshape_parameters(result), sparsity=0.0, habits=0.0))
@@ -69,6 +114,25 @@ def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, act
 def measure_coefficients(
     sensor: SyntheticSensor, actor: Actor, parameters: Parameters | None = None, frames: int = 60, progress: bool = False
 ) -> KnownCoefficients:
-    """Track a :func:`known_performance` of the sensor's performer with its actor, and compare."""
+    """Track a :func:`known_performance` of the sensor's performer, and compare the coefficients with the truth.
+
+    Parameters
+    ----------
+    sensor : SyntheticSensor
+        The sensor of the performer.
+    actor : Actor
+        The performer's rig.
+    parameters : Parameters, optional
+        The parameters of the tracker.
+    frames : int
+        Length of the performance, frames.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    KnownCoefficients
+        The true and the tracked coefficients.
+    """
     known, truth = known_performance(sensor, frames)
     return compare_coefficients(known, truth, track_source(known, actor, parameters, progress=progress), actor)

@@ -22,11 +22,26 @@ CHEEK_RADIUS = 25.0
 def region_masks(
     neutral: np.ndarray, feature_triangles: np.ndarray, feature_weights: np.ndarray, frontal: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Name of each of ``REGIONS`` -> (N,) bool, disjoint subsets of ``frontal`` (N,) on a neutral mesh (N, 3) mm.
+    """Find the regions of a neutral mesh.
 
-    lips, eyes, brows: vertices within 8 mm (straight line) of one of their features, the nearest feature deciding.
-    cheeks: within 25 mm of the middle between the outer eye corner (iBUG 36, 45) and the mouth corner (48, 54) of one
-    side. chin: below the lowest lip feature and between the mouth corners, widened by half the mouth's width.
+    The vertices of lips, eyes and brows lie within 8 mm (in a straight line) of one of their features. The nearest feature
+    decides between these regions. The cheeks lie within 25 mm of the middle between the outer eye corner (iBUG 36, 45) and the
+    mouth corner (48, 54) of the same side. The chin lies below the lowest lip feature, and between the mouth corners or at most
+    half the width of the mouth beside them.
+
+    Parameters
+    ----------
+    neutral : (N, 3)
+        Vertices, mm.
+    feature_triangles, feature_weights : (40, 3)
+        Places of the features on the mesh: corners of a triangle, and barycentric weights.
+    frontal : (N,) bool
+        The frontal region.
+
+    Returns
+    -------
+    dict
+        Disjoint subsets (N,) bool of ``frontal`` by the names of ``REGIONS``.
     """
     features = surface_points(neutral, feature_triangles, feature_weights)
     distance, nearest = cKDTree(features).query(neutral)

@@ -67,31 +67,31 @@ class Evaluation:
     regions: dict[str, np.ndarray]
 
     def frames(self, performance: int | None) -> np.ndarray:
-        """Which frames belong to a performance, (F,) bool; None means all after the neutral."""
+        """Return which frames (F,) bool belong to a performance. None means all frames after the neutral scan."""
         return self.performance != NEUTRAL if performance is None else self.performance == performance
 
     def motion_length(self, stage: str) -> np.ndarray:
-        """Lengths (F, m) of the motion error, mm."""
+        """Return the lengths (F, m) of a stage's motion error, mm."""
         s = self.stages.index(stage)
         return np.hypot(self.normal[s], self.tangential[s])
 
     def surface_percentiles(self, stage: str, performance: int | None, percentiles=(50, 95)) -> list[float]:
-        """Percentiles of the surface distance over all (frame, vertex) pairs of a performance, mm."""
+        """Return percentiles of the surface distance over all (frame, vertex) pairs of a performance, mm."""
         values = self.surface[self.stages.index(stage)][self.frames(performance)]
         if not values.size:
             return [float("nan")] * len(percentiles)
         return [float(value) for value in np.percentile(values, percentiles)]
 
     def active_share(self, stage: str, performance: int | None, region: str | None = None) -> float:
-        """:func:`metrics.active_share` over the frontal vertices of a performance, or those of one ``region``."""
+        """Return :func:`metrics.active_share` over the frontal vertices of a performance, or only those of a ``region``."""
         chosen = self.frames(performance)
         inside = slice(None) if region is None else self.regions[region][self.frontal]
         return metrics.active_share(self.motion_length(stage)[chosen][:, inside], self.motion[chosen][:, inside])
 
     def region_error(self, stage: str, region: str, performance: int | None, active: bool = False) -> float:
-        """Mean length of the motion error over a region's vertices and a performance's frames, mm.
+        """Return the mean length of the motion error over a region's vertices and a performance's frames, mm.
 
-        With ``active``, only pairs whose true motion exceeds 2 mm count. The limits are for the mean over all pairs.
+        With ``active``, only the pairs of a frame and a vertex whose true motion exceeds 2 mm count.
         """
         chosen, inside = self.frames(performance), self.regions[region][self.frontal]
         error = self.motion_length(stage)[chosen][:, inside]
@@ -100,7 +100,7 @@ class Evaluation:
         return float(error.mean(dtype=float)) if error.size else float("nan")
 
     def parts(self, stage: str, performance: int | None) -> tuple[float, float]:
-        """Mean |normal| and tangential part of the motion error over the active pairs, mm."""
+        """Return the mean of the |normal| and of the tangential part of the motion error over the active pairs, mm."""
         s, chosen = self.stages.index(stage), self.frames(performance)
         active = self.motion[chosen] > metrics.ACTIVE_MOTION
         if not active.any():
@@ -109,7 +109,7 @@ class Evaluation:
         return float(normal.mean(dtype=float)), float(tangential.mean(dtype=float))
 
     def summary(self, stage: str, performance: int | None) -> dict[str, float]:
-        """Every figure of one stage and performance by its name, in mm except for shares."""
+        """Return every measure of a stage and a performance by its name, in mm except for shares."""
         median, p95 = self.surface_percentiles(stage, performance)
         normal, tangential = self.parts(stage, performance)
         out = dict(
@@ -126,7 +126,7 @@ class Evaluation:
         return out
 
     def mean_error_map(self, stage: str, performance: int | None) -> np.ndarray:
-        """Mean lengths (N,) of the motion error of each vertex, mm; NaN outside the frontal region."""
+        """Return the mean length (N,) of the motion error of each vertex, mm. It is NaN outside the frontal region."""
         out = np.full(len(self.frontal), np.nan)
         chosen = self.frames(performance)
         if chosen.any():
@@ -134,7 +134,7 @@ class Evaluation:
         return out
 
     def table(self) -> str:
-        """The summary of every stage and performance as text."""
+        """Return the summary of every stage and performance as text."""
         from .table import evaluation_table
 
         return evaluation_table(self)
@@ -286,23 +286,23 @@ def evaluate_run(frames: Iterable[TrackedFrame], truth: AnyTruth, actor: Actor, 
     Parameters
     ----------
     frames : iterable of TrackedFrame
-        Their ``index`` is the number in the truth.
-    truth
+        The frames. Their ``index`` is the number of the frame in the truth.
+    truth : GroundTruth, TrueSource or path-like
         A sensor with ``ground_truth(index)``, a :class:`GroundTruth`, or the path of a ``ground_truth.npz``.
     actor : Actor
-        The rig that the frames were tracked with.
+        The rig that was tracked.
     stages : tuple of str
         The meshes to score, "v1" to "v4".
 
     Returns
     -------
     Evaluation
-        Errors in millimetres by stage, frame and vertex.
+        The errors by stage, frame and vertex.
 
     Raises
     ------
     AdaptiveFaceError
-        The mesh differs from the truth's, or no frame was tracked.
+        The mesh differs from the truth's mesh, or no frame was tracked.
     """
     collector = ErrorCollector(truth, actor, tuple(stages))
     for frame in frames:

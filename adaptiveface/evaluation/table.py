@@ -1,4 +1,4 @@
-"""The text tables of an evaluation."""
+"""Write the text tables of an evaluation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from .truth import FIRST, PERFORMANCE_NAMES, REPEAT
 
 
 def evaluation_table(evaluation) -> str:
-    """Every stage of the first performance and of the repeat, one line each; mm, but for the active share."""
+    """Write one line for each stage of the first performance and of the repeat. Lengths are in mm."""
     regions = list(evaluation.regions)
     lines = [
         "mm                  surface        active   motion error (neutral removed), mean               active pairs",

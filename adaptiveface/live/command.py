@@ -37,7 +37,20 @@ DEGRADED = "no depth: a degraded mode; sizes and distances are guesses, and noth
 
 
 def run_live(args: argparse.Namespace, parameters: Parameters) -> int:
-    """``adaptiveface live [SENSOR]``; returns the exit status."""
+    """Run ``adaptiveface live [SENSOR]``.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        The options. Without a sensor, ``--headless`` lists the sensors.
+    parameters : Parameters
+        The parameters of the tracker.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
     if args.sensor is not None and is_livelink(args.sensor):
         from .livelink import run_livelink
 
@@ -85,7 +98,7 @@ def _open_notebook(args: argparse.Namespace) -> int:
 
 
 class _Headless:
-    """A run in the terminal: scan the neutral if no rig is given, track until the end, and save everything."""
+    """A run in the terminal. It scans the neutral if no rig is given, tracks until the end, and saves everything."""
 
     def __init__(self, args: argparse.Namespace, parameters: Parameters, smooth: bool = False) -> None:
         self.args, self.parameters, self.smooth, self.line = args, parameters, smooth, StatusLine()
@@ -95,7 +108,7 @@ class _Headless:
         self._spoken: str | None = None  # the last of the scan's instructions
         self._building = False
         self._recorder: LiveRecorder | None = None
-        self._told = False  # that the recording has stopped
+        self._told = False  # whether it was printed that the recording has stopped
 
     def _check_outputs(self) -> None:
         args, inputs = self.args, [self.args.sensor, self.args.actor]
@@ -110,7 +123,7 @@ class _Headless:
         self._destinations, self._avatar = addresses(self.args), avatar(self.args)
 
     def run(self) -> int:
-        """Run until the recording or ``--seconds`` are over, or until Ctrl-C. Returns the exit status."""
+        """Run until the recording is over, ``--seconds`` have passed, or Ctrl-C is pressed. Returns the exit status."""
         with ExitStack() as stack:
             sensor = stack.enter_context(open_sensor(self.args.sensor))
             ctrl_c = stack.enter_context(CtrlC())
@@ -137,7 +150,7 @@ class _Headless:
             print(recorder.close())
 
     def _watch_recording(self) -> str:
-        """Print at once that the recording has stopped. Returns a note for every later line."""
+        """Print immediately that the recording has stopped. Returns a note for every later line."""
         error = self._recorder.error if self._recorder else None
         if error is None:
             return ""
@@ -200,7 +213,7 @@ class _Headless:
 
     # ---- tracking --------------------------------------------------------------------------------------------------
     def _track(self, session: LiveSession, ctrl_c: CtrlC) -> None:
-        with ExitStack() as at_the_end:  # the last one first: printing may fail
+        with ExitStack() as at_the_end:  # it calls the last one first, because printing may fail
             at_the_end.callback(lambda: self.line.end(str(session.statistics)))
             at_the_end.callback(self._save, session)
             at_the_end.callback(self._save_learned, session)
@@ -226,7 +239,7 @@ class _Headless:
             result = gaze.onto(builder.finish(session.model.correctives, session.expressions))
             result.save(self.args.out)
             summary = result.summary()
-            del result  # it holds the files that are discarded
+            del result  # it keeps the files open that are discarded
         discard(unfinished_folder(self.args.out))
         if summary:
             print(f"{self.args.out}: {summary}")
@@ -243,7 +256,7 @@ class _Headless:
                 last, tracked = result.index, result.tracked
                 state = tracked.sample_state.name.lower().replace("_", " ") if tracked.tracked else "no face"
             self.line.show(f"{self._watch_recording()}{state}: {session.statistics}")
-        session.latest(last)  # raises what ended it, unless that is the end of the recording
+        session.latest(last)  # raises the error that ended the session, unless it is the end of the recording
 
     def _stream(self, run: LiveRun) -> None:
         if not self._destinations:
@@ -269,7 +282,20 @@ class _Headless:
 
 
 def run_live_stream(args: argparse.Namespace, parameters: Parameters) -> int:
-    """``adaptiveface stream SENSOR``: do what ``live --headless --vmc`` does, until Ctrl-C."""
+    """Run ``adaptiveface stream SENSOR``, which does what ``live --headless --vmc`` does, until Ctrl-C.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        The options.
+    parameters : Parameters
+        The parameters of the tracker.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
     from ..export.stream import VMC_PORT
 
     values = dict(

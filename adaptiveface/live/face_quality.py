@@ -1,4 +1,4 @@
-"""The former place of :mod:`adaptiveface.neutral.face_quality`."""
+"""Keep the old place of :mod:`adaptiveface.neutral.face_quality`."""
 
 from ..neutral.face_quality import (
     Expression,

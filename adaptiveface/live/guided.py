@@ -52,14 +52,18 @@ class Guidance:
 
     Attributes
     ----------
+    text : str
+        What to do.
     step : str
         A key of ``STEPS``, or "done".
     progress : float
-        0 to 1.
+        Share of the scan that is done, 0 to 1.
     coverage : dict
-        Step -> the share of its target that is reached.
+        Share of the target that is reached, by step.
     warnings : tuple of str
         Why this frame cannot be used, or what the finished scan lacks.
+    done : bool
+        Whether the scan is finished.
     """
 
     text: str
@@ -90,17 +94,24 @@ class _Face:
 
 
 class GuidedCapture:
-    """A scan in progress: :meth:`add` takes frame after frame until it is ``done``, and :meth:`build` makes the actor.
+    """A scan in progress. :meth:`add` takes one frame after another until the scan is ``done``. :meth:`build` makes the actor.
 
     Parameters
     ----------
     seconds : float
-        Length of the scan by the frames' timestamps, unless every step is done earlier. A face that never looks neutral takes
-        twice as long.
+        Length of the scan by the frames' timestamps, s, unless every step is done earlier. The scan takes twice as long if the
+        face never looks neutral.
     most : int
         Largest number of frames that are kept.
     model : FaceModel, optional
-        The embedded one by default.
+        The face model. The default is the embedded model.
+
+    Attributes
+    ----------
+    pose : (4, 4) or None
+        Transform from the head frame to the camera frame in the last frame, mm. It is None if no face was found.
+    frames_seen : int
+        Number of frames so far.
     """
 
     def __init__(self, seconds: float = 10.0, most: int = 60, model: FaceModel | None = None) -> None:
@@ -117,27 +128,27 @@ class GuidedCapture:
         self._last: tuple[float, np.ndarray] | None = None
         self._clock: float | None = None
         self._elapsed, self._step, self._step_began, self._finished = 0.0, "straight", 0.0, False
-        self.pose: np.ndarray | None = None  #: head to camera in the last frame, or None
+        self.pose: np.ndarray | None = None
         self.frames_seen = 0
 
     # ---- what a view shows -----------------------------------------------------------------------------------------
     @property
     def frames(self) -> list[RgbdFrame]:
-        """The frames to build from, in order: only clean ones if there are enough."""
+        """The frames to build the head from, in order. If there are enough clean frames, they are the only ones."""
         clean = [kept.frame for kept in self._kept if kept.clean]
         chosen = clean if len(clean) >= MIN_FRAMES else [kept.frame for kept in self._kept]
         return sorted(chosen, key=lambda frame: frame.index)
 
     @property
     def vertex_coverage(self) -> np.ndarray:
-        """(V,) in [0, 1]: how well depth has seen every vertex of the model's frontal region; 0 elsewhere."""
+        """How well depth has seen every vertex of the model's frontal region, (V,) from 0 to 1. It is 0 elsewhere."""
         out = np.zeros(len(self.model.mean))
         out[self.model.frontal] = np.minimum(self._seen / VIEWS, 1.0)
         return out
 
     @property
     def coverage(self) -> dict[str, float]:
-        """Share of the target that every step has reached, 0..1."""
+        """The share of the target that every step has reached, from 0 to 1, by step."""
         out = {"straight": min(len(self._level) / STRAIGHT_FRAMES, 1.0)}
         for name, best in self._farthest.items():
             out[name] = float(np.clip(best[0] / (TURN if name in ("left", "right") else NOD), 0.0, 1.0))
@@ -150,7 +161,18 @@ class GuidedCapture:
 
     # ---- one frame -------------------------------------------------------------------------------------------------
     def add(self, frame: RgbdFrame) -> Guidance:
-        """Judge a frame, and keep it if it is good. Returns what to tell the person. A scan that is done adds nothing."""
+        """Judge a frame, and keep it if it is good. A scan that is done keeps no more frames.
+
+        Parameters
+        ----------
+        frame : RgbdFrame
+            The frame with its 2D features.
+
+        Returns
+        -------
+        Guidance
+            What to tell the person.
+        """
         if self._finished:
             return self._guidance(())
         self.frames_seen += 1
@@ -173,15 +195,15 @@ class GuidedCapture:
         return self._guidance(())
 
     def build(self, parameters: Parameters | None = None, progress: Progress | None = None) -> Actor:
-        """Build the actor from the frames that were kept, which takes some seconds.
+        """Build the actor from the frames that were kept. This takes some seconds.
 
-        Arguments and errors are those of :func:`~adaptiveface.neutral.capture.capture_actor`.
+        The arguments and the errors are those of :func:`~adaptiveface.neutral.capture.capture_actor`.
         """
         return capture_actor(self.frames, self.model, parameters or Parameters(), progress)
 
     # ---- judging ---------------------------------------------------------------------------------------------------
     def _judge(self, frame: RgbdFrame) -> tuple[tuple[str, ...], _Face | None]:
-        """Warnings about a frame, and its face if that can be used."""
+        """Return the warnings about a frame, and its face if that can be used."""
         self.pose = None
         if not frame.depth.any():
             return ("no depth: the sensor measures nothing",), None
@@ -206,7 +228,7 @@ class GuidedCapture:
         return tuple(warnings), _Face(pose, face, blur)
 
     def _blur(self, frame: RgbdFrame) -> float:
-        """Blur from 0, as sharp as usual, to 1, the limit; 0 without colour."""
+        """Return the blur, from 0 (as sharp as usual) to 1 (the limit) and above. It is 0 without colour."""
         sharp = sharpness(frame)
         if not np.isfinite(sharp):
             return 0.0
@@ -214,7 +236,7 @@ class GuidedCapture:
         return float(np.clip((1 - sharp / max(np.median(self._sharp), 1e-9)) / (1 - BLURRED), 0.0, 2.0))
 
     def _speed(self, features: Features2D, timestamp: float, unit: float) -> float:
-        """Median movement of the features since the last frame, in eye distances a second; 0 after a gap."""
+        """Return the median motion of the features since the last frame, eye distances per second. It is 0 after a gap."""
         now = np.where(features.valid[:, None], features.pixels, np.nan)
         last = self._last
         self._last = (timestamp, now)
@@ -225,7 +247,7 @@ class GuidedCapture:
         return float(np.median(moved) / unit / (timestamp - last[0])) if len(moved) else 0.0
 
     def _advance(self, frame: RgbdFrame) -> float:
-        """Seconds since the previous frame, at most half a second because device clocks jump."""
+        """Return the seconds since the previous frame, but at most half a second, because device clocks jump."""
         last, self._clock = self._clock, frame.timestamp
         return 0.0 if last is None else float(np.clip(frame.timestamp - last, 0.0, 0.5))
 
@@ -254,7 +276,7 @@ class GuidedCapture:
         self._seen += seen_by_depth(frame.depth, frame.camera, points, normals, REACH)
 
     def _drop_one(self) -> None:
-        """Drop the worst frame of the direction that has the most, unclean ones first."""
+        """Drop the worst frame of the direction that has the most frames. Frames with a warning are dropped first."""
         cells: dict[tuple[int, int], int] = {}
         for kept in self._kept:
             cells[kept.cell] = cells.get(kept.cell, 0) + 1
@@ -267,7 +289,7 @@ class GuidedCapture:
 
     # ---- steps -----------------------------------------------------------------------------------------------------
     def _next_step(self) -> None:
-        """If a step is reached or its time is over, go to the next one that is not reached."""
+        """If the step is reached or its time is over, go to the next step that is not reached."""
         coverage, names = self.coverage, list(STEPS)
         waited = self._elapsed - self._step_began
         if coverage[self._step] < 1 and (waited < self.seconds / len(STEPS) or not self._level):

@@ -1,4 +1,4 @@
-"""``adaptiveface live livelink``: an iPhone's curves, kept as a take and sent on to avatars and other programs."""
+"""Run ``adaptiveface live livelink``: save an iPhone's curves as a take, and send them to avatars and other programs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..livelink.take import header_line, row_line
 from ..runtime.interrupt import CtrlC
 from .status import StatusLine
 
-#: Options of ``live`` that need pictures, with the value when nobody asked for them.
+#: Options of ``live`` that need pictures, with their defaults.
 _OF_SENSORS: dict[str, object] = {
     "actor": None,
     "save_actor": None,
@@ -34,7 +34,7 @@ _SHOWN = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft")
 
 
 def run_livelink(args: argparse.Namespace) -> int:
-    """``live livelink[:[HOST:]PORT] [--out take.csv] [--vmc ...]``; returns the exit status."""
+    """Run ``live livelink[:[HOST:]PORT] [--out take.csv] [--vmc ...]``. Returns the exit status."""
     _check(args)
     host, port = parse_address(args.sensor)
     with ExitStack() as stack:
@@ -56,7 +56,10 @@ def run_livelink(args: argparse.Namespace) -> int:
 
 
 def run_livelink_stream(args: argparse.Namespace) -> int:
-    """``adaptiveface stream livelink``: as ``live`` without a take; VMC to this machine where nothing else is asked for."""
+    """Run ``adaptiveface stream livelink``, which does what ``live livelink`` does, but saves no take.
+
+    Without another destination, it sends VMC to this machine. Returns the exit status.
+    """
     values = dict(vars(args), sensor=args.source, out=None, seconds=None)
     if args.vmc is None and args.osc is None and args.livelink is None:
         values["vmc"] = ""
@@ -72,7 +75,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 class _Run:
-    """Receives frames until Ctrl-C or for ``seconds``. An error ends it and is raised once the take is saved."""
+    """Receives frames until Ctrl-C or for ``seconds``. An error ends it, and is raised after the take is saved."""
 
     def __init__(self, receiver: LiveLinkReceiver, sender, seconds: int | None) -> None:
         self._receiver, self._sender, self._seconds = receiver, sender, seconds

@@ -1,6 +1,6 @@
-"""Scan the neutral face: make a head from a feed's frames. Without depth, only its proportions are measured.
+"""Scan the neutral face, and make a head from the frames. Without depth, only the proportions of the head are measured.
 
-It runs on the caller's thread, without a view. :class:`~adaptiveface.live.run.LiveRun` drives it.
+The scan runs on the caller's thread, without a view. :class:`~adaptiveface.live.run.LiveRun` calls it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from ..sensors.worker import POLL_SECONDS
 from .feed import FeatureFeed
 from .guided import STEPS, Guidance, GuidedCapture
 
-#: After this long without a frame (s), the scan says so.
+#: After this long without a frame, the scan has a message, s.
 SILENCE_SECONDS = 1.0
-#: Frames with a face from which the proportions are taken where there is no depth.
+#: Number of frames with a face from which the proportions are measured without depth.
 COLOUR_FRAMES = 30
 
 
@@ -29,20 +29,27 @@ class Cancelled(Exception):  # noqa: N818 - it was requested, and is not an erro
 
 
 class NeutralScan:
-    """A neutral scan of what ``feed`` delivers for ``seconds``: :meth:`collect`, then :meth:`build`.
+    """A neutral scan. Call :meth:`collect`, and then :meth:`build`.
 
-    ``watch()`` is called after every frame, message and step of the work.
+    Parameters
+    ----------
+    feed : FeatureFeed
+        The frames with their features.
+    seconds : float
+        Length of the scan, s.
+    watch : callable
+        A function without arguments that is called after every frame, message and step of the work.
 
     Attributes
     ----------
     guidance : Guidance or None
-        What to tell the person; None before the first frame.
+        What to tell the person. It is None before the first frame.
     guide : GuidedCapture or None
-        The coverage behind it; None without depth.
+        The scan behind the guidance. It is None without depth.
     frame : LiveFrame or None
-        What the sensor saw.
+        The newest frame.
     message : str
-        What is wrong with the sensor, or "".
+        A description of the sensor's problem, or "".
     progress : tuple
         The step of :meth:`build`, and the share of it that is done.
     """
@@ -54,12 +61,12 @@ class NeutralScan:
         self.frame: LiveFrame | None = None
         self.message, self.progress = "", ("", 0.0)
         self._enough = self._cancelled = False
-        self._faces: list[LiveFrame] = []  # without depth: the frames that show a face
+        self._faces: list[LiveFrame] = []  # the frames that show a face; used without depth
         self._last_frame = time.perf_counter()
 
     # ---- from any thread -------------------------------------------------------------------------------------------
     def finish(self) -> None:
-        """End the scan, and build from the frames so far, or from the first usable one."""
+        """End the scan with the frames so far. If none is usable, it ends with the first usable one that follows."""
         self._enough = True
 
     def cancel(self) -> None:
@@ -68,10 +75,16 @@ class NeutralScan:
 
     # ---- the work --------------------------------------------------------------------------------------------------
     def collect(self) -> None:
-        """Read frames until there are enough or the recording ends.
+        """Read frames until there are enough, or until the recording ends.
 
-        Raises :class:`TrackingError` where the recording shows no face, :class:`SensorError` of a sensor that is gone
-        for good, :class:`Cancelled`.
+        Raises
+        ------
+        TrackingError
+            The recording shows no face.
+        SensorError
+            The sensor has failed, and does not come back.
+        Cancelled
+            :meth:`cancel` was called.
         """
         while self.guidance is None or not self.guidance.done:
             self._check()
@@ -85,7 +98,25 @@ class NeutralScan:
             self._watch()
 
     def build(self, parameters: Parameters) -> Actor:
-        """Build the head, which takes some seconds. Raises :class:`TrackingError` or :class:`Cancelled`."""
+        """Build the head. This takes some seconds.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            The parameters of the capture.
+
+        Returns
+        -------
+        Actor
+            The head.
+
+        Raises
+        ------
+        TrackingError
+            The frames do not show a person's head.
+        Cancelled
+            :meth:`cancel` was called.
+        """
         with one_blas_thread():
             if self.guide is None:
                 return capture_colour_actor(self._faces, parameters=parameters)
@@ -101,7 +132,7 @@ class NeutralScan:
         self._watch()
 
     def _read(self) -> LiveFrame | None:
-        """The newest frame, or None if there is none at the moment."""
+        """Return the newest frame, or None if there is none at the moment."""
         try:
             frame = self.feed.read(POLL_SECONDS)
         except EndOfRecording:

@@ -12,13 +12,13 @@ from ..tracking.held_out import BAD
 from ..tracking.types import TrackedFrame
 from .feed import FeatureFeed
 
-#: Rates and latencies are those of the last few seconds.
+#: Rates and latencies are measured over the last few seconds.
 WINDOW_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
 class LiveStatistics:
-    """Figures of the last seconds, and counts since the start.
+    """Rates and times of the last seconds, and counts since the start.
 
     Attributes
     ----------
@@ -27,15 +27,15 @@ class LiveStatistics:
     latency_ms_p50, latency_ms_p95 : float
         Time from a frame's arrival to its mesh, ms.
     detect_ms, track_ms : float
-        Medians, ms.
+        Median times of detection and tracking, ms.
     dropped_sensor, dropped_features, dropped_tracker : int
-        Frames that were lost by the device, because the detector was busy, and because the tracker was busy.
+        Numbers of frames that the device lost, that came while the detector was busy, and while the tracker was busy.
     tracked, lost : int
-        Results with and without a face.
+        Numbers of results with and without a face.
     message : str
-        What is wrong now, or "".
+        The current problem, or "".
     held_out : float
-        Error of the worst region of landmarks that no fit used, % of the eyes' distance; NaN where unknown.
+        Error of landmarks that no fit used, in their worst region, % of the distance between the eyes. NaN if it is unknown.
     """
 
     fps: float = 0.0
@@ -65,7 +65,13 @@ class LiveStatistics:
 
 
 class Meter:
-    """Collects what the statistics need. The tracker's thread writes, any thread reads. Losses count from its start."""
+    """Collects what the statistics need. The tracker's thread writes, and any thread may read.
+
+    Parameters
+    ----------
+    feed : FeatureFeed
+        The feed whose lost frames are counted from now on.
+    """
 
     def __init__(self, feed: FeatureFeed) -> None:
         self.message, self._feed, self._before = "", feed, _dropped(feed)
@@ -88,7 +94,7 @@ class Meter:
         self.message = tracked.reason
 
     def statistics(self) -> LiveStatistics:
-        """The current figures."""
+        """Return the current statistics."""
         now = time.perf_counter()
         recent = np.array([row for row in tuple(self._recent) if row[0] > now - WINDOW_SECONDS]).reshape(-1, 4)
         span = min(max(now - self._start, 1e-3), WINDOW_SECONDS)
@@ -111,5 +117,5 @@ class Meter:
 
 
 def _dropped(feed: FeatureFeed) -> tuple[int, int, int]:
-    """Frames lost so far by the device, by the busy detector, by the busy tracker."""
+    """Return the numbers of frames that were lost so far by the device, the busy detector, and the busy tracker."""
     return feed.sensor.lost_by_device, feed.sensor.superseded, feed.dropped

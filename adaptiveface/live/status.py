@@ -1,4 +1,4 @@
-"""Show a status: a line that is rewritten in a terminal or, in a log file, a new line now and then."""
+"""Show a status in a line that is rewritten in a terminal. In a log file, a new line appears now and then."""
 
 from __future__ import annotations
 
@@ -7,20 +7,26 @@ import time
 
 from tqdm import tqdm
 
-#: Seconds between two lines where the output is no terminal, and between two updates where it is.
+#: Shortest time between two lines in a log file, and between two updates in a terminal, s.
 LOG_SECONDS, UPDATE_SECONDS = 5.0, 0.1
 
 
 class StatusLine:
-    """Shows a changing text: call :meth:`show` as often as wanted, and :meth:`end` to leave a line that stays."""
+    """Shows a changing text. :meth:`show` may be called at any rate, and :meth:`end` writes a line that stays.
+
+    Parameters
+    ----------
+    stream : text file, optional
+        The output. The default is the standard output.
+    """
 
     def __init__(self, stream=None) -> None:
         self._stream = stream or sys.stdout
-        self._bar: tqdm | None = None  # made on first need, because it writes to the terminal
+        self._bar: tqdm | None = None  # made when it is first needed, because it writes to the terminal
         self._next = 0.0
 
     def show(self, text: str) -> None:
-        """Show ``text`` in place of what was shown before, unless that was just now."""
+        """Replace the text, unless the last one was shown just now."""
         now = time.monotonic()
         if now < self._next:
             return
@@ -34,7 +40,7 @@ class StatusLine:
         self._bar.set_description_str(text)
 
     def end(self, text: str = "") -> None:
-        """Write a line that stays; without ``text``, only clear the one that is shown."""
+        """Write a line that stays. Without ``text``, the line that is shown is only cleared."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None
