@@ -25,6 +25,8 @@ from adaptiveface.export.messages import (
     read_avatar,
     vmc_messages,
 )
+from adaptiveface.formats.gltf.container import GltfContainer
+from adaptiveface.formats.gltf.edit import GltfEdit
 from adaptiveface.livelink import ARKIT_NAMES, LiveLinkTake, read_take, write_take
 from adaptiveface.livelink.convention import eye_angles
 from adaptiveface.livelink.packet import LiveLinkFrame, decode, encode
@@ -326,6 +328,18 @@ def test_a_known_avatar_keeps_its_bones_and_moves_once():
     np.testing.assert_allclose(known.offsets["LeftEye"], [0.0341, 0.0773, 0.0775], atol=1e-3)
     np.testing.assert_allclose(known.offsets["Head"], [0, 0.088, 0.0222], atol=1e-3)
     assert known.arkit and not known.presets
+
+
+@pytest.mark.parametrize(("extensions", "turned"), [({"VRM": {}}, True), ({"VRM": {}, "VRMC_vrm": {}}, False)])
+def test_only_avatars_of_vrm_0_are_turned_round(tmp_path, extensions, turned):
+    """A file with both versions of VRM, for readers of either, looks along +z, as the exporter of avatars knows."""
+    edit = GltfEdit(GltfContainer(AVATARS / "ready_player_me.glb"), tmp_path / "known.glb")
+    edit.document["extensions"] = extensions
+    edit.save()
+    plain, known = (read_avatar(path).offsets for path in (edit.file.path, edit.out))
+    signs = [-1, 1, -1] if turned else [1, 1, 1]
+    for bone in ("Head", "Neck", "LeftEye", "RightEye"):
+        np.testing.assert_allclose(known[bone], np.multiply(signs, plain[bone]), atol=1e-9)
 
 
 def test_osc_speaks_face_cap():

@@ -21,12 +21,11 @@ from ..retargeting.character import Character
 from ..retargeting.correctives import carried_correctives
 from ..retargeting.loading import is_gltf, load_character
 from ..retargeting.retarget import coverage, driving_names, retarget
-from ..retargeting.smoothing import FILTERS, Smoothing
 from ..runtime.timing import clean_times, increasing
 from .animation import AnimatedMesh, actor_animation, character_animation, with_correctives
 from .arguments import FORMATS
 from .inside_parts import actor_insides, with_insides
-from .writing import ExportOptions, write_avatar, write_mesh
+from .writing import ExportOptions, chosen_filter, write_avatar, write_mesh
 
 
 def run_export(args: argparse.Namespace) -> int:
@@ -35,11 +34,11 @@ def run_export(args: argparse.Namespace) -> int:
     if is_take(args.result):
         from .take import run_take_export
 
-        return run_take_export(args, out, _smoothing(args))
+        return run_take_export(args, out, chosen_filter(args))
     result = _timed(Result.load(args.result), args.result)
     actor = _actor(args.actor, args.result.parent, result)
     options = ExportOptions(
-        args.character, _coefficients(args, actor), _smoothing(args), args.correctives, UNITS.get(args.unit), args.insides
+        args.character, _coefficients(args, actor), chosen_filter(args), args.correctives, UNITS.get(args.unit), args.insides
     )
     if args.format == "arkit-csv":
         _write_curves(out, result, actor, options)
@@ -99,10 +98,6 @@ def _coefficients(args: argparse.Namespace, actor: Actor | None) -> str:
         raise ParameterError("--coefficients arkit: does not go with --correctives, which carry what the expressions lack")
     automatic = "arkit" if has_units(actor) and not args.correctives else "resolved"
     return args.coefficients or automatic
-
-
-def _smoothing(args: argparse.Namespace) -> Smoothing | None:
-    return FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None
 
 
 def _output(args: argparse.Namespace) -> Path:
@@ -224,7 +219,7 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
         streamer = Streamer(
             actor,
             parameters.blendshapes.A,
-            smoothing=_smoothing(args),
+            smoothing=chosen_filter(args),
             avatar=receiver,
             halves=has_units(actor),
             parameters=parameters.blendshapes,

@@ -15,10 +15,10 @@ from ..retargeting import BUILT_IN
 from ..retargeting.character import Character
 from ..retargeting.loading import is_gltf, load_character
 from ..retargeting.retarget import Performance, undriven
-from ..retargeting.smoothing import FILTERS, Smoothing
+from ..retargeting.smoothing import Smoothing
 from .animation import AnimatedMesh, character_animation
 from .arkit_csv import take_performance, write_arkit_csv
-from .writing import ExportOptions, write_avatar, write_mesh
+from .writing import ExportOptions, chosen_filter, write_avatar, write_mesh
 
 #: Options of ``export`` that need a tracked result, and their default values.
 _OF_RESULTS = {"coefficients": None, "correctives": False, "actor": None, "source": None, "compare": False}
@@ -64,7 +64,7 @@ def stream_take(args: argparse.Namespace) -> int:
         if getattr(args, name):
             raise ParameterError(f"{args.source}: it is a take of curves; --{name} needs a recording")
     take = read_take(args.source)
-    performance = take_performance(take).smoothed(FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None)
+    performance = take_performance(take).smoothed(chosen_filter(args))
     found = addresses(args, default_vmc=True)
     sender, pace = Sender(**found, avatar=avatar(args)), Pace()
     _say(take)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +13,7 @@ from tqdm import tqdm
 from ..retargeting.character import Character
 from ..retargeting.loading import is_gltf
 from ..retargeting.retarget import Performance
-from ..retargeting.smoothing import Smoothing
+from ..retargeting.smoothing import FILTERS, Smoothing
 from .animation import AnimatedMesh, size_text
 
 
@@ -31,6 +32,11 @@ class ExportOptions:
     def avatar(self) -> bool:
         """Whether a .glb export is the character's own file with an animation added."""
         return is_gltf(self.character) and not self.correctives
+
+
+def chosen_filter(args: argparse.Namespace) -> Smoothing | None:
+    """The filter of ``--smooth`` and ``--filter``, or None."""
+    return FILTERS[args.filter or "one-euro"]() if args.smooth or args.filter else None
 
 
 def write_avatar(
