@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 
 import numpy as np
@@ -117,3 +118,32 @@ def test_another_camera_is_not_forgotten(detectors):
         reader.rewind()
         reader.read(0)
     assert source.read_of[0] == 2 and detectors.looked_at[0] == 1
+
+
+#: What each frame passes on its way from the recording to result.npz (docs/architecture.md), in this order.
+WAY = (
+    "Recording.read",
+    "read_depth",
+    "FaceTracker.track",
+    "BlendshapeFit.fit",
+    "AdaptiveModel.learn",
+    "ResultBuilder.add",
+    "FileRows.append",
+)
+
+
+def test_each_frame_passes_every_station_once_and_in_order(tmp_path):
+    talking_head(tmp_path / "take", frames=4).save(tmp_path / "actor.npz")
+    words = ["track", str(tmp_path / "take"), "--actor", str(tmp_path / "actor.npz"), "--out", str(tmp_path / "result.npz")]
+    passed = []
+
+    def note(frame, event, _):
+        if event == "call" and frame.f_code.co_qualname in WAY and "adaptiveface" in frame.f_code.co_filename:
+            passed.append(frame.f_code.co_qualname)
+
+    sys.setprofile(note)
+    try:
+        assert main(words) == 0
+    finally:
+        sys.setprofile(None)
+    assert passed == [*WAY] * 4
