@@ -25,11 +25,20 @@ ACTIVE_MOTION = 2.0
 
 
 class TrueSurface:
-    """Measures distances of points from one true mesh with vertices (N, 3) mm and triangles (T, 3).
+    """Measures distances of points from a true mesh.
 
     The distance of every triangle around the ``candidates`` nearest true vertices is computed exactly (Ericson 2005,
     section 5.1.5). The smallest one is the exact distance if the closest triangle touches one of those vertices.
     It does on meshes with edges of a few millimetres (the tests compare with all triangles).
+
+    Parameters
+    ----------
+    vertices : (N, 3)
+        Vertices of the mesh, mm.
+    triangles : (T, 3) int
+        Vertex numbers.
+    candidates : int
+        Number of nearest vertices to search around.
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, candidates: int = 3):
@@ -43,7 +52,7 @@ class TrueSurface:
         self._start = np.searchsorted(self.triangles.ravel()[order], np.arange(len(vertices) + 1))
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Unsigned distances (n,) of points (n, 3) from the surface, mm."""
+        """Return the unsigned distances (n,) of points (n, 3) from the surface, mm."""
         points = np.ascontiguousarray(points, float)
         _, near = self._tree.query(points, k=min(self.candidates, len(self._used)))
         near = self._used[near.reshape(len(points), -1)]
@@ -53,37 +62,90 @@ class TrueSurface:
 def surface_distance(
     vertices: np.ndarray, truth_vertices: np.ndarray, triangles: np.ndarray, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Distances (n,) of the tracked vertices (N, 3) in ``mask`` (N,) from the true surface (N, 3), (T, 3), mm.
+    """Measure the distances of tracked vertices from the true surface.
 
     The evaluation scores the frontal vertices that may take depth (``frontal & depth_valid``). Inner lips and lid rims, which
     no depth camera sees, are left out. The true surface is the whole head and not only its masked part.
+
+    Parameters
+    ----------
+    vertices : (N, 3)
+        The tracked vertices, mm.
+    truth_vertices : (N, 3)
+        The true vertices, mm.
+    triangles : (T, 3) int
+        Vertex numbers of the true surface.
+    mask : (N,) bool, optional
+        The vertices to measure. By default, all are measured.
+
+    Returns
+    -------
+    (n,)
+        Distances of the n measured vertices, mm.
     """
     points = vertices if mask is None else vertices[mask]
     return TrueSurface(truth_vertices, triangles).distance(points)
 
 
 def split_by_normal(error: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split error vectors (..., 3) by unit normals (..., 3): signed normal part and tangential length (...), mm."""
+    """Split error vectors into their parts along the normals and within the surface.
+
+    Parameters
+    ----------
+    error : (..., 3)
+        Error vectors, mm.
+    normals : (..., 3)
+        Unit normals.
+
+    Returns
+    -------
+    normal : (...)
+        Signed length of the part along the normal, mm.
+    tangential : (...)
+        Length of the rest, mm.
+    """
     normal = np.einsum("...d,...d->...", error, normals)
     tangential = np.linalg.norm(error - normal[..., None] * normals, axis=-1)
     return normal, tangential
 
 
 def neutral_alignment(neutral: np.ndarray, true_neutral: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Rigid transform A (4, 4) from the tracker's head frame to the true one, over the vertices in ``mask``.
+    """Find the rigid transform A from the tracker's head frame to the true one by the neutrals.
 
     Two meshes of one head may have different head frames. A removes that difference once for all frames.
+
+    Parameters
+    ----------
+    neutral, true_neutral : (N, 3)
+        The two neutrals in their head frames, mm.
+    mask : (N,) bool
+        The vertices to align.
+
+    Returns
+    -------
+    (4, 4)
+        The transform A, mm.
     """
     return rigid_alignment(neutral[mask], true_neutral[mask])
 
 
 def tracked_alignment(poses: np.ndarray, true_poses: np.ndarray) -> np.ndarray:
-    """Rigid transform A (4, 4) from the tracker's head frame to the true one, as a mean over frames of a resting face.
+    """Find the rigid transform A from the tracker's head frame to the true one, as a mean over frames of a resting face.
 
-    ``poses`` and ``true_poses`` (F, 4, 4) are head to camera. With this alignment, a resting face that lies on its neutral has
-    no motion error. With :func:`neutral_alignment`, which is used for all figures unless stated otherwise, it has one: if
-    vertices of the forehead or the cheeks slid along the skin in the neutral, fitting all vertices also moves the lips (by 0.3
-    to 0.6 mm on five performers that were captured with detected features).
+    With this alignment, a resting face that lies on its neutral has no motion error. With :func:`neutral_alignment`, which is
+    used for all figures unless stated otherwise, it has one: if vertices of the forehead or the cheeks slid along the skin in
+    the neutral, fitting all vertices also moves the lips (by 0.3 to 0.6 mm on five performers that were captured with detected
+    features).
+
+    Parameters
+    ----------
+    poses, true_poses : (F, 4, 4)
+        The tracked and the true transforms from the head frame to the camera frame, mm.
+
+    Returns
+    -------
+    (4, 4)
+        The transform A, mm.
     """
     relative = np.linalg.inv(true_poses) @ poses
     out = np.eye(4)
@@ -93,9 +155,21 @@ def tracked_alignment(poses: np.ndarray, true_poses: np.ndarray) -> np.ndarray:
 
 
 def true_motion(truth_vertices: np.ndarray, true_rigid: np.ndarray, true_neutral: np.ndarray) -> np.ndarray:
-    """Displacement (N, 3) of the true mesh (camera frame) from its neutral (N, 3) (head frame), in the camera frame, mm.
+    """Return the displacement of the true mesh from its neutral.
 
-    ``true_rigid`` (4, 4) maps the head frame to the camera frame.
+    Parameters
+    ----------
+    truth_vertices : (N, 3)
+        The true mesh in the camera frame, mm.
+    true_rigid : (4, 4)
+        Transform from the head frame to the camera frame, mm.
+    true_neutral : (N, 3)
+        The true neutral in the head frame, mm.
+
+    Returns
+    -------
+    (N, 3)
+        The displacement in the camera frame, mm.
     """
     return truth_vertices - transform_points(true_rigid, true_neutral)
 
@@ -121,19 +195,44 @@ def motion_error(
 
 
 def active_share(error: np.ndarray, motion: np.ndarray, threshold: float = ACTIVE_MOTION) -> float:
-    """Sum of |error| over sum of |motion|, over the pairs whose true motion exceeds ``threshold`` mm.
+    """Return the share of the motion error in the true motion, over the pairs whose true motion exceeds a threshold.
 
-    ``error`` and ``motion`` are lengths in mm of equal shape, with any number of axes (frames, vertices). 0 is perfect, and a
-    face that never moves scores 1. The result is NaN if nothing moves.
+    Parameters
+    ----------
+    error, motion : array
+        Lengths of the motion error and of the true motion, mm. They have the same shape, with any number of axes (frames,
+        vertices).
+    threshold : float
+        Smallest true motion that counts, mm.
+
+    Returns
+    -------
+    float
+        The sum of ``error`` divided by the sum of ``motion``. 0 is perfect, and a face that never moves scores 1. The result is
+        NaN if nothing moves.
     """
     active = motion > threshold
     return float(error[active].sum() / motion[active].sum()) if active.any() else float("nan")
 
 
 def pose_error(rigid: np.ndarray, true_rigid: np.ndarray, alignment: np.ndarray, centre: np.ndarray) -> tuple[float, float]:
-    """Error of a head pose (4, 4): millimetres at the point ``centre`` (3,) of the true head frame, and degrees.
+    """Measure the error of a head pose.
 
-    ``alignment`` (4, 4) maps the tracker's head frame to the true one (:func:`neutral_alignment`).
+    Parameters
+    ----------
+    rigid, true_rigid : (4, 4)
+        The tracked and the true transform from the head frame to the camera frame, mm.
+    alignment : (4, 4)
+        Transform from the tracker's head frame to the true one (:func:`neutral_alignment`), mm.
+    centre : (3,)
+        The point of the true head frame at which the shift is measured, mm.
+
+    Returns
+    -------
+    shift : float
+        Distance between the two places of ``centre``, mm.
+    angle : float
+        Angle between the two poses, degrees.
     """
     difference = np.linalg.inv(true_rigid @ alignment) @ rigid
     at = np.linalg.inv(alignment)[:3, :3] @ (centre - alignment[:3, 3])
@@ -146,9 +245,7 @@ def pose_error(rigid: np.ndarray, true_rigid: np.ndarray, alignment: np.ndarray,
 def _distance_to_incident_triangles(points, near, vertices, triangles, start, incident):
     """Smallest distance of each point (n, 3) to the triangles around its near vertices (n, k)."""
     distances = np.empty(len(points))
-    seen = np.full(
-        len(triangles), -1
-    )  # the last point that visited each triangle, because neighbouring vertices share triangles
+    seen = np.full(len(triangles), -1)  # the last point that visited each triangle; neighbouring vertices share triangles
     for i in range(len(points)):
         best = np.inf
         for vertex in near[i]:

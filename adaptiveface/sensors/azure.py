@@ -22,6 +22,7 @@ from ..errors import (
     SensorError,
     SensorNotFoundError,
 )
+from .capture_device import decoded_jpeg
 from .driver import CameraOrFile, Driver, RawFrame
 from .file_player import FilePlayer
 from .registration import Lens, Registration
@@ -205,8 +206,7 @@ def _rgb(k4a, picture: np.ndarray, layout) -> np.ndarray | None:
     """Return the RGB (h, w, 3) of a picture in the SDK's ``layout``, or None if it is a broken JPEG."""
     formats = k4a.ImageFormat
     if layout == formats.COLOR_MJPG:
-        decoded = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-        return None if decoded is None else decoded[..., ::-1].copy()
+        return decoded_jpeg(np.frombuffer(picture, np.uint8))
     code = {
         formats.COLOR_BGRA32: cv2.COLOR_BGRA2RGB,
         formats.COLOR_NV12: cv2.COLOR_YUV2RGB_NV12,

@@ -16,7 +16,7 @@ from ..errors import FileFormatError
 from ..geometry.camera import FIELD_OF_VIEW, FIELD_OF_VIEW_RANGE, Camera
 from .intrinsics import read_camera
 
-__all__ = ["FIELD_OF_VIEW", "FIELD_OF_VIEW_RANGE", "as_rgb", "calibration_for", "camera_of_view", "quiet"]
+__all__ = ["FIELD_OF_VIEW", "FIELD_OF_VIEW_RANGE", "as_rgb", "calibration_for", "camera_of_view", "decoded_jpeg", "quiet"]
 
 _level_lock, _quiet, _level = threading.Lock(), 0, 0
 
@@ -90,6 +90,12 @@ def calibration_for(width: int, height: int, intrinsics: Path, field_of_view: fl
             "correct it or move the video to a folder of its own"
         )
     return camera
+
+
+def decoded_jpeg(content: np.ndarray) -> np.ndarray | None:
+    """Decode the bytes (n,) uint8 of a JPEG to RGB (H, W, 3) uint8. A broken JPEG gives None."""
+    decoded = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    return None if decoded is None else as_rgb(decoded)
 
 
 def as_rgb(picture: np.ndarray, mirrored: bool = False) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..errors import SensorError
+from ..errors import SensorDisconnectedError, SensorError
 from ..geometry.camera import Camera
 from ..geometry.frame import Features2D, RgbdFrame
 
@@ -182,6 +182,9 @@ class Driver(ABC):
         if handle is None:
             raise self._not_open()
         return handle
+
+    def _unplugged(self) -> SensorDisconnectedError:
+        return SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
 
     def _not_open(self) -> SensorError:
         return SensorError(f"{self.name}: is not open; call open() before grab()")

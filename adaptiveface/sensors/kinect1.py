@@ -221,7 +221,7 @@ class Kinect1Driver(Driver):
         while True:
             left = max(deadline - time.perf_counter(), 0.001)
             if self._library.call("process_events_timeout", context, byref(_Interval(0, int(left * 1e6)))) < 0:
-                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+                raise self._unplugged()
             frame = self._pair()
             if frame is not None:
                 self._last_frame = time.perf_counter()

@@ -96,7 +96,7 @@ class Kinect2Driver(Driver):
             frames = sensor.wait_for_frames(max(int(timeout * 1000), 1))
         except library.KinectTimeoutError:
             if time.perf_counter() - self._last > PATIENCE and not sensor.is_available:
-                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back") from None
+                raise self._unplugged() from None
             return None
         except library.KinectError as error:
             raise SensorDisconnectedError(f"{self.name}: stopped ({error}); it is opened again") from error

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from ..errors import DriverMissingError, SensorError, SensorNotFoundError
 from ..geometry.camera import Camera
 from .driver import Driver, RawFrame
 
@@ -105,10 +105,10 @@ class OakDriver(Driver):
         try:
             group = self._queue.get(timedelta(seconds=timeout))
         except self._dai.MessageQueue.QueueException as error:
-            raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back") from error
+            raise self._unplugged() from error
         if group is None:
             if device.isClosed() or not pipeline.isRunning():
-                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+                raise self._unplugged()
             return None
         depth, picture = group["depth"], group["picture"]
         (fx, _, cx), (_, fy, cy), _ = depth.getTransformation().getIntrinsicMatrix()

@@ -17,7 +17,6 @@ from ..errors import (
     EndOfRecording,
     FileFormatError,
     ParameterError,
-    SensorDisconnectedError,
     SensorError,
     SensorNotFoundError,
 )
@@ -250,7 +249,7 @@ class OpenNI2Driver(CameraOrFile):
     def _check_silence(self, device: Device) -> None:
         if self.live:
             if self._silence > LIVE_PATIENCE and device.uri not in [uri for uri, _ in self._library.devices()]:
-                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+                raise self._unplugged()
         elif self._silence > PLAYBACK_PATIENCE:
             if self._read:
                 raise FileFormatError(f"{self.path}: broken after {self._read} of {self._count} depth frames")

@@ -11,7 +11,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..errors import DriverMissingError, SensorDisconnectedError, SensorError, SensorNotFoundError
+from ..errors import DriverMissingError, SensorError, SensorNotFoundError
+from .capture_device import decoded_jpeg
 from .driver import Driver, RawFrame
 from .registration import Lens, Registration
 
@@ -63,7 +64,7 @@ class OrbbecDriver(Driver):
         """Start depth and colour. Raises :class:`SensorNotFoundError` or :class:`SensorError`."""
         ob = self._ob
         found = [serial for serial, _ in connected_cameras()]
-        if not found or (self.serial and self.serial not in found):
+        if not self._is_among(found):
             connected = ", ".join(found) or "none"
             raise SensorNotFoundError(f"{self.name}: no such camera (connected: {connected}); check the cable")
         self._context = ob.Context()
@@ -126,17 +127,17 @@ class OrbbecDriver(Driver):
 
     def _check_connection(self) -> None:
         self._silent += 1
-        if self._silent % SILENT_POLLS == 0:
-            found = [serial for serial, _ in connected_cameras()]
-            if not found or (self.serial and self.serial not in found):
-                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+        if self._silent % SILENT_POLLS == 0 and not self._is_among([serial for serial, _ in connected_cameras()]):
+            raise self._unplugged()
+
+    def _is_among(self, serials: list[str]) -> bool:
+        return bool(serials) and self.serial in ("", *serials)
 
     def _rgb(self, frame) -> np.ndarray | None:
         formats, layout = self._ob.OBFormat, frame.get_format()
         content = np.frombuffer(frame.get_data(), np.uint8)
         if layout == formats.MJPG:
-            decoded = cv2.imdecode(content, cv2.IMREAD_COLOR)
-            return None if decoded is None else decoded[..., ::-1].copy()
+            return decoded_jpeg(content)
         size = frame.get_height(), frame.get_width()
         if layout == formats.RGB:
             return content.reshape(*size, 3)

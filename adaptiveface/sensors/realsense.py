@@ -16,7 +16,6 @@ from ..errors import (
     EndOfRecording,
     FileFormatError,
     ParameterError,
-    SensorDisconnectedError,
     SensorError,
     SensorNotFoundError,
 )
@@ -155,7 +154,7 @@ class RealSenseDriver(CameraOrFile):
     def _check_end(self) -> None:
         if self.live:
             if not self._device.is_connected():
-                raise SensorDisconnectedError(f"{self.name}: unplugged; it is opened again when it is back")
+                raise self._unplugged()
             return
         stopped = self._device.as_playback().current_status() == self._rs.playback_status.stopped
         if stopped or self._waited > PLAYBACK_PATIENCE:
