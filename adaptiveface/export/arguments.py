@@ -23,7 +23,7 @@ FORMATS = {
 
 
 def add_personal_actor(command: argparse.ArgumentParser) -> None:
-    """Option of ``track`` and ``live`` that keeps what is learned about the person's expressions."""
+    """Add the option of ``track`` and ``live`` that saves what was learned about the person's expressions."""
     command.add_argument(
         "--personal-actor",
         type=Path,
@@ -33,7 +33,7 @@ def add_personal_actor(command: argparse.ArgumentParser) -> None:
 
 
 def add_export_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of ``adaptiveface export``."""
+    """Add the options of ``adaptiveface export``."""
     command.add_argument(
         "result",
         type=Path,
@@ -90,7 +90,7 @@ def add_export_arguments(command: argparse.ArgumentParser) -> None:
 
 
 def _add_film(command: argparse.ArgumentParser) -> None:
-    """Options of films: what is shown beside the mesh, and from where."""
+    """Add the options of films: what they show beside the mesh, and from which side."""
     command.add_argument("--source", metavar="SOURCE", help="mp4, gif: show the recording's pictures beside the meshes")
     add_field_of_view(command)
     command.add_argument(
@@ -102,7 +102,7 @@ def _add_film(command: argparse.ArgumentParser) -> None:
 
 
 def add_actor(command: argparse.ArgumentParser, default: str) -> None:
-    """``--actor``; ``default`` says what is used without it."""
+    """Add ``--actor``. ``default`` tells its users what is used without it."""
     command.add_argument("--actor", type=Path, metavar="actor.npz", help=f"the person's rig (default: {default})")
 
 

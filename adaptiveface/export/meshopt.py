@@ -16,12 +16,12 @@ from .gltf import write_glb
 TOOL, INSTALL = "gltfpack", "npm install --global gltfpack"
 #: Coordinates have 16 bits and normals 8. Keys, names and extras are kept unchanged.
 OPTIONS = ("-cc", "-vp", "16", "-vn", "8", "-at", "16", "-ar", "16", "-af", "0", "-kn", "-km", "-ke")
-#: Seconds that the tool may take.
+#: Longest time that the tool may take, s.
 PATIENCE = 600.0
 
 
 def find_gltfpack() -> str:
-    """Path of gltfpack; raises :class:`MissingExtraError` with the line that installs it."""
+    """Path of gltfpack. Raises :class:`MissingExtraError` with the command that installs it if it is missing."""
     found = shutil.which(TOOL)
     if found is None:
         raise MissingExtraError(f"--meshopt needs {TOOL}, which is not on the PATH: {INSTALL}, or use --compact instead")

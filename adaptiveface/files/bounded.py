@@ -39,7 +39,7 @@ def open_regular(path: str | os.PathLike, max_bytes: int) -> io.BufferedReader:
 
 
 def read_bytes(path: str | os.PathLike, max_bytes: int) -> bytes:
-    """The content of a regular file of at most ``max_bytes`` bytes; raises as :func:`open_regular` does."""
+    """The content of a regular file of at most ``max_bytes`` bytes. Raises what :func:`open_regular` raises."""
     try:
         with open_regular(path, max_bytes) as stream:
             length = os.fstat(stream.fileno()).st_size

@@ -40,7 +40,7 @@ class Association:
     frontal, depth_valid : (V,) bool
         The masks of :class:`FaceModel`.
     offset : (3,)
-        Translation that brings the face to where it is in our own model, mm.
+        Translation that moves the face to its place in our own model, mm.
     residual : float
         Median distance between the fitted face and the foreign one, mm.
     """
@@ -86,7 +86,7 @@ def associate(vertices: np.ndarray, triangles: np.ndarray, features: np.ndarray 
         feature_triangles, feature_weights = features_at(features, triangles)
     frontal, depth_valid = transfer_masks(model, fitted, vertices, triangles)
     offset = model.mean[model.frontal].mean(axis=0) - fitted[model.frontal].mean(axis=0)
-    offset[0] = 0.0  # a foreign head's plane of symmetry stays where it is
+    offset[0] = 0.0  # a foreign head's plane of symmetry does not move
     return Association(feature_triangles, feature_weights, frontal, depth_valid, offset, wrap.residual)
 
 

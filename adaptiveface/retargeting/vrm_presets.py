@@ -59,7 +59,7 @@ VRM0_NAMES: dict[str, str] = {
     "lookLeft": "LookLeft",
     "lookRight": "LookRight",
 }
-# VRoid Studio's morph targets of the same meaning, for files that were converted and lost their VRM part.
+# Names of VRoid Studio's morph targets with the same meaning, for files that lost their VRM part in a conversion.
 _VROID = {
     "aa": "Fcl_MTH_A",
     "ih": "Fcl_MTH_I",
@@ -95,6 +95,6 @@ def preset_row(preset: str) -> np.ndarray:
 
 
 def preset_weights(curves: np.ndarray, presets: Sequence[str] = tuple(PRESETS)) -> np.ndarray:
-    """(F, P) weights in [0, 1] of VRM 1.0 presets (all, in the table's order) for ARKit curves (F, 52)."""
+    """(F, P) weights in [0, 1] of VRM 1.0 presets for ARKit curves (F, 52). By default, these are all of them."""
     matrix = np.array([preset_row(preset) for preset in presets]).reshape(len(presets), len(ARKIT_NAMES))
     return np.clip(np.asarray(curves, float) @ matrix.T, 0.0, 1.0)
