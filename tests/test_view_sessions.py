@@ -17,7 +17,7 @@ from adaptiveface.errors import AdaptiveFaceError, FileFormatError  # noqa: E402
 from adaptiveface.geometry.mesh import surface_points  # noqa: E402
 from adaptiveface.model.face_model import embedded_face_model  # noqa: E402
 from adaptiveface.neutral.coverage import choose_by_coverage  # noqa: E402
-from adaptiveface.studies.measures import plain  # noqa: E402
+from adaptiveface.studies.measures import TunedPane, plain  # noqa: E402
 from adaptiveface.studies.recorded import PROPORTIONS, read_take  # noqa: E402
 from adaptiveface.studies.session import Session  # noqa: E402
 
@@ -151,3 +151,13 @@ def test_a_notebook_about_depth_refuses_a_video(tmp_path):
         video.mux(stream.encode())
     with pytest.raises(AdaptiveFaceError, match="grey.mp4: has no depth, which this notebook is about"):
         views.load_session(tmp_path / "grey.mp4", needs_depth=True)
+
+
+def test_a_tuned_pane_follows_the_explorers_parameters(session):
+    pane = TunedPane(lambda result, frame, parameters: (result.v1, np.full(len(result.v1), parameters.laplacian.w1)))
+    explorer = views.StageExplorer(session, ["laplacian"], {"w1": pane, "v4": plain("v4")}, camera=False)
+    try:
+        explorer.set(laplacian__w1=0.25)
+        assert (explorer.view._shown[0].heat == 0.25).all() and explorer.view._shown[1].heat is None
+    finally:
+        explorer.close()
