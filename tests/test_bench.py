@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adaptiveface.bench import bandwidth, growth, peers, run, run_bench
+from adaptiveface.bench import bandwidth, colour, growth, peers, run, run_bench
 from adaptiveface.bench.decimation import decimated
 from adaptiveface.bench.paper import PAPER_MS, PAPER_SUM_MS
 from adaptiveface.bench.peers import Comparison
@@ -155,3 +155,18 @@ def test_growth_shows_every_stage_and_its_peers(scene, recorded):
     compared = growth.peer_growth([recorded, recorded], (2, 4), (peers.bounded_solve, peers.incremental_pca))
     assert [entry.name.strip() for entry in compared][::2] == ["bounded solve", "adaptive_pca"]
     assert (compared[1].ms > 0).all()
+
+
+def test_the_colour_bench_times_the_same_frames_without_and_with_skin(capsys):
+    """Dense skin costs something in its own line, and nothing there where it is off; the sums are those of the stages."""
+    actor, frames = colour.colour_scene(24)
+    assert actor.skin is not None and actor.appearance is not None and all(frame.colour is not None for frame in frames)
+    trackers = [FaceTracker(actor, Parameters().replace(skin__on=on)) for on in (False, True)]
+    without, with_skin = colour.time_in_turns(trackers, frames)
+    skin = STAGE_NAMES.index("skin")
+    assert without.shape == with_skin.shape == (24, len(STAGE_NAMES))
+    assert (without[:, skin] < 0.05 * with_skin[:, skin]).all()  # the timer alone
+    table = colour.colour_table(without, with_skin).splitlines()
+    assert table[-1].split()[3:] == [
+        f"{np.percentile(ms.sum(axis=1), q):.2f}" for ms in (without, with_skin) for q in (50, 95)
+    ] + [f"{np.median(with_skin.sum(axis=1)) / np.median(without.sum(axis=1)):.2f}x"]

@@ -16,6 +16,7 @@ from coloured import actor_and_views, coloured_performer
 from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.geometry.mesh import vertex_normals
 from adaptiveface.model.actor import Actor
+from adaptiveface.neutral.appearance import gather_appearance
 from adaptiveface.neutral.skin import gather_skin
 from adaptiveface.parameters import Parameters
 from adaptiveface.synthetic.sensor import SyntheticSensor
@@ -135,6 +136,30 @@ def test_pictures_of_another_moment_teach_nothing(sensor, actor, frames, fails):
 
 def test_pictures_in_time_are_learned_from(actor, frames):
     assert SampleState.HIDDEN not in {tracked.sample_state for tracked in run(actor, frames, lambda good: good, ON)[0]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "length", "shown"), [(2003, 200, 45), (22, 200, 60)])
+def test_a_mouth_that_opens_while_the_head_nods_is_in_time(seed, length, shown):
+    """At 30 frames a second."""
+    assert not any(called_late(seed, length, shown, lambda good: good))
+
+
+@pytest.mark.slow
+def test_pictures_three_frames_late_are_told_by_a_moving_face():
+    assert np.mean(called_late(21, 200, 70, late)[30:]) > 0.5
+
+
+def called_late(seed: int, length: int, shown: int, fails: Failure) -> list[bool]:
+    """Whether each of the first frames of a performance was called late, with noisy features and the exact neutral."""
+    sensor = SyntheticSensor(seed, "truedepth", 20, length, repeats=1, feature_noise=1.0)
+    plain, views = actor_and_views(sensor)
+    appearance, skin = gather_appearance(plain, views, ON.refinement), gather_skin(plain, views, ON.skin)
+    tracker, out = FaceTracker(replace(plain, appearance=appearance, skin=skin), ON), []
+    for frame in fails([sensor.read(index) for index in range(20, 20 + shown)]):
+        tracker.track(frame)
+        out.append(tracker.state.clock.late)
+    return out
 
 
 def test_a_repeated_picture_is_late_at_once(actor, frames):

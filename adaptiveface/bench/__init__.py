@@ -16,6 +16,10 @@ def run_bench(args=None) -> int:
         from .growth import run_growth
 
         return run_growth(args.vertices, args.frames)
+    if getattr(args, "colour", False):
+        from .colour import run_colour
+
+        return run_colour(args.frames)
     from .run import main
 
     return main(args)

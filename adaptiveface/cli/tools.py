@@ -18,6 +18,7 @@ def add_bench(commands) -> None:
         metavar="N,N,N",
         help="measure instead how the times grow with the mesh, and with K, S and A",
     )
+    bench.add_argument("--colour", action="store_true", help="measure instead what pictures cost, without and with dense skin")
     bench.add_argument("--live", action="store_true", help="measure instead latency and lost frames of live tracking")
     bench.add_argument(
         "--seconds", type=whole(1, 86_400), default=60, metavar="N", help="length of --live (default: %(default)s)"

@@ -338,9 +338,9 @@ class SkinParameters(Stage):
     spacing: float = parameter(
         1.5, "distance between the samples from which the most telling are kept", unit="mm", low=0.5, high=10
     )
-    samples: int = parameter(4000, "samples that are followed, the most telling first", low=10, high=8000)
-    weight: float = parameter(0.3, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
-    noise: float = parameter(2.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
+    samples: int = parameter(3000, "samples that are followed, the most telling first", low=10, high=8000)
+    weight: float = parameter(0.4, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
+    noise: float = parameter(4.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
     looks: int = parameter(2, "how often a frame's colours are compared, each time where the time before led", low=1, high=10)
     cg_iterations: int = parameter(
         1, "preconditioned conjugate-gradient iterations of the depth deformation after the last of these", low=0, high=50

@@ -1,14 +1,17 @@
-"""Tell from a moving head whether the pictures show the same moment as their depth.
+"""Tell from a moving face whether the pictures show the same moment as their depth.
 
-A picture that is tau frames late shows the skin displaced by -tau times the head's motion v, while the depth shows where the
-head is. The rows of the colours (:class:`.skin_term.SkinTerm`) give the displacement s of the whole face. The warm start and
-the features, which come from the same picture, already contain a part of it. Therefore
+Two things are true of late pictures. First, the skin in them lies behind the head: a picture that is tau frames late shows it
+displaced by -tau times the head's motion v, while the depth shows where the head is. The rows of the colours
+(:class:`.skin_term.SkinTerm`) give the displacement s of the whole face. The warm start and the features, which come from the
+same picture, already contain a part of it. Second, they fit the face where it was one frame ago about as well as where it is
+now: the colours (:meth:`.dense_skin.DenseSkin.look`) give the difference g of the two misfits. Over the last frames, in the
+plane of the picture,
 
-    lag = -sum s . v / (sum v . v + prior)
+    lag = -sum s . v / (sum v . v + 2 mm^2),      agreement = (sum g + 1) / (sum |g| + 1)
 
-over the last frames, in the plane of the picture, is 0 for pictures in time, whatever the face does. Measured on performers
-2005 to 2011 in four looks: -0.17 to 0.10 with pictures in time; with pictures three frames late 0.15 to 0.38 once the head
-had moved. A stream that has stopped repeats its picture bit by bit, which the noise of a camera never does.
+are 0 and 1 for pictures in time. Pictures are late if neither is: a mouth that opens while the head nods looks like a lag, but
+it fits the face of this frame much better than that of the frame before. docs/paper-notes.md has the figures. A stream that
+has stopped repeats its picture bit by bit, which the noise of a camera never does.
 """
 
 from __future__ import annotations
@@ -20,20 +23,22 @@ import numpy as np
 from ..geometry.frame import RgbdFrame
 from .skin_term import SkinTerm
 
-#: Factor by which the weight of a frame decreases per frame, and the prior for no lag, mm^2.
-FADES, PRIOR = 0.93, 2.0
-#: Pictures with at least this lag are late.
-LATE = 0.13
+#: Factor by which the weight of a frame decreases per frame, and the priors of lag, mm^2, and of agreement.
+FADES, PRIOR, BELIEF = 0.93, 2.0, 1.0
+#: Pictures are late with at least this lag and less than this agreement.
+LATE, AGREES = 0.13, 0.95
 #: Stride of the rows and columns that are compared to tell a repeated picture from a new one.
 _SPARSE = 8
 
 
 @dataclass(frozen=True)
 class ColourClock:
-    """Knowledge from the frames so far: the sums of the module's equation, mm^2, and the last picture and depth, thinned."""
+    """Knowledge from the frames so far: the sums of the module's equations, and the last picture and depth, thinned."""
 
     shifted: float = 0.0
     moved: float = 0.0
+    gained: float = 0.0
+    changed: float = 0.0
     picture: np.ndarray | None = None
     depth: np.ndarray | None = None
     repeated: bool = False
@@ -41,7 +46,17 @@ class ColourClock:
     @property
     def late(self) -> bool:
         """Whether the newest picture is from an earlier moment than its depth."""
-        return self.repeated or self.shifted > LATE * (self.moved + PRIOR)
+        return self.repeated or (self.lag > LATE and self.agreement < AGREES)
+
+    @property
+    def lag(self) -> float:
+        """How far the skin lies behind the head, as a share of the head's motion from frame to frame."""
+        return self.shifted / (self.moved + PRIOR)
+
+    @property
+    def agreement(self) -> float:
+        """By how much pictures fit the face of their frame better than that of the frame before, from -1 to 1."""
+        return (self.gained + BELIEF) / (self.changed + BELIEF)
 
     def after(self, frame: RgbdFrame) -> ColourClock:
         """Add a frame with colour, which may repeat the last picture although its depth is new."""
@@ -51,11 +66,28 @@ class ColourClock:
         repeated = same and self.depth is not None and not np.array_equal(depth, self.depth)
         return replace(self, picture=picture, depth=depth, repeated=repeated)
 
-    def seen(self, term: SkinTerm, rotation: np.ndarray, motion: np.ndarray) -> ColourClock:
-        """Add that frame's rows, with the rotation (3, 3) head to camera and the motion (3,) since the last frame, mm."""
+    def seen(self, term: SkinTerm, rotation: np.ndarray, motion: np.ndarray, gain: float) -> ColourClock:
+        """Add what that frame's picture shows.
+
+        Parameters
+        ----------
+        term : SkinTerm
+            Its rows.
+        rotation : (3, 3)
+            Head to camera.
+        motion : (3,)
+            Of the head since the last frame, mm.
+        gain : float
+            By how much it fits the face of the frame better than that of the frame before.
+        """
         shift = rotation @ face_shift(term)
-        shifted = FADES * self.shifted - float(shift[:2] @ motion[:2])
-        return replace(self, shifted=shifted, moved=FADES * self.moved + float(motion[:2] @ motion[:2]))
+        return replace(
+            self,
+            shifted=FADES * self.shifted - float(shift[:2] @ motion[:2]),
+            moved=FADES * self.moved + float(motion[:2] @ motion[:2]),
+            gained=FADES * self.gained + gain,
+            changed=FADES * self.changed + abs(gain),
+        )
 
 
 def face_shift(term: SkinTerm) -> np.ndarray:

@@ -42,8 +42,11 @@ from .slow_modes import SlowModes
 
 #: px beside the samples in which the picture is prepared: blurs and shifts reach so far.
 _BORDER = 16
-#: Every so many of the samples tell the light: it has five numbers a channel.
+#: Every so many of the samples tell the light, which has five numbers a channel, and whether the picture is late.
 _LIGHT_STRIDE = 4
+#: Deviation of a sample that fits, %, where it is asked whether a picture shows the neutral's colours at all, and where it
+#: shows them; and how many of its variances a squared residual then counts at most.
+_FITS, _OUTLIER = 2.0, 9.0
 #: Mean shares of their weights that rows of depth and colour have in a frame: some find no depth, none fits perfectly.
 DEPTH_SHARE, COLOUR_SHARE = 0.75, 0.6
 
@@ -75,11 +78,15 @@ class Looks:
         The rows at the last frame's displacement.
     again : callable
         The rows at another displacement (n, 3), mm.
+    gain : float
+        By how much the picture fits there better than where the face was in the frame before, as a mean squared residual in
+        units of its variance; 0 without a frame before.
     """
 
     deformation: LaplacianDeformation
     first: SkinTerm
     again: Callable[[np.ndarray], SkinTerm]
+    gain: float
 
 
 class DenseSkin:
@@ -91,7 +98,9 @@ class DenseSkin:
         self.parameters = parameters
         self._skin = skin = skin.first(parameters.samples)
         self._corners = np.ascontiguousarray(region.local[skin.triangles])
+        self._few = self._corners[::_LIGHT_STRIDE].copy(), skin.weights[::_LIGHT_STRIDE].copy()
         self._variances = parameters.noise**2 + skin.deviations**2
+        self._fitting = _FITS**2 + skin.deviations**2
         edges = region.neutral[self._corners[:, 1:]] - region.neutral[self._corners[:, :1]]
         inverse = np.linalg.inv(edges @ edges.transpose(0, 2, 1))
         steepness = np.einsum("qce,qef,qcf->qc", skin.slopes, inverse, skin.slopes)
@@ -120,11 +129,33 @@ class DenseSkin:
         )
 
     def look(
-        self, frame: RgbdFrame, pose: np.ndarray, vertices: np.ndarray, displacement: np.ndarray, measured: np.ndarray
+        self,
+        frame: RgbdFrame,
+        pose: np.ndarray,
+        vertices: np.ndarray,
+        displacement: np.ndarray,
+        measured: np.ndarray,
+        before: np.ndarray | None = None,
     ) -> Looks | None:
-        """The frame's picture, compared at the frontal ``vertices`` (n, 3) of v1 with a ``displacement`` (n, 3), mm.
+        """Compare the frame's picture with the neutral's colours.
 
-        ``measured`` (n,) bool: depth was found there. None where no colour tells anything.
+        Parameters
+        ----------
+        frame : RgbdFrame
+            The frame, with or without colour.
+        pose : (4, 4)
+            Head to camera.
+        vertices, displacement : (n, 3)
+            The frontal vertices of v1 and how far the skin is displaced from there, head frame, mm.
+        measured : (n,) bool
+            Where depth was found.
+        before : (n, 3), optional
+            Where the frontal vertices were in the frame before, camera frame, mm.
+
+        Returns
+        -------
+        Looks or None
+            None where no colour tells anything.
         """
         placed = transform_points(pose, vertices + displacement)
         picture = self._picture(frame, placed)
@@ -146,7 +177,28 @@ class DenseSkin:
             placed = transform_points(pose, vertices + displacement)
             return rows(placed, self._see(picture, placed, measured), displacement)
 
-        return Looks(self.deformation, rows(placed, seen, displacement), again)
+        gain = 0.0 if before is None else self._gain(picture, before, measured, seen, expected, believed)
+        return Looks(self.deformation, rows(placed, seen, displacement), again, gain)
+
+    def _gain(
+        self,
+        picture: SkinPicture,
+        before: np.ndarray,
+        measured: np.ndarray,
+        now: Seen,
+        expected: np.ndarray,
+        believed: np.ndarray,
+    ) -> float:
+        """By how much a picture fits better what is seen ``now`` than at vertices as they were ``before``: ``Looks.gain``."""
+        some = slice(None, None, _LIGHT_STRIDE)
+        then = self._see(picture, before, measured, self._few)
+        weights = np.minimum(then.counts, now.counts[some])[:, None] * self._shares[some] * believed
+
+        def misfit(values: np.ndarray) -> float:
+            squares = (values - expected[some]) ** 2 / self._fitting[some]
+            return float(np.vdot(weights, np.minimum(squares, _OUTLIER)))
+
+        return (misfit(then.values) - misfit(now.values[some])) / max(float(weights.sum()), 1e-12)
 
     def _picture(self, frame: RgbdFrame, placed: np.ndarray) -> SkinPicture | None:
         """What a frame shows around the vertices ``placed`` (n, 3), camera frame; None without colour, or too little."""
@@ -161,10 +213,19 @@ class DenseSkin:
         lens = camera.fx, camera.fy, camera.cx - float(u), camera.cy - float(v)
         return SkinPicture(skin_channels(frame.colour[v:bottom, u:right]), lens)
 
-    def _see(self, picture: SkinPicture, placed: np.ndarray, measured: np.ndarray) -> Seen:
-        """What the picture shows of the samples where vertices are ``placed`` (n, 3), camera frame."""
-        reach = picture.lens[0] * self.parameters.spacing
-        points, normals, counts = carry(placed, self._corners, self._skin.weights, measured, reach)
+    def _see(
+        self,
+        picture: SkinPicture,
+        placed: np.ndarray,
+        measured: np.ndarray,
+        samples: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> Seen:
+        """What the picture shows of all samples, or of some, where vertices are ``placed`` (n, 3), camera frame.
+
+        samples: corners (q, 3) and weights (q, 3) of those.
+        """
+        corners, shares = samples or (self._corners, self._skin.weights)
+        points, normals, counts = carry(placed, corners, shares, measured, picture.lens[0] * self.parameters.spacing)
         return Seen(look_up(picture.channels, points, picture.lens, counts), normals, counts)
 
     def _expect(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
@@ -172,7 +233,7 @@ class DenseSkin:
 
         They serve for all looks at a picture: between two looks the skin moves by less than light changes over the face.
         """
-        skin, known, some = self._skin, seen.counts[:, None] / self._variances, slice(None, None, _LIGHT_STRIDE)
+        skin, known, some = self._skin, seen.counts[:, None] / self._fitting, slice(None, None, _LIGHT_STRIDE)
         light = fit_light(seen.values[some], skin.colours[some], seen.normals[some], known[some])
         expected = in_light(light, skin.colours, seen.normals)
         return expected, trust(seen.values - expected, expected, known, seen.counts)

@@ -260,10 +260,11 @@ class FaceTracker(Tracker):
         if self.skin is None or frame.colour is None:
             return None, clock
         vertices, clock = v1.take(self.region.vertices, axis=0), clock.after(frame)
-        looks = self.skin.look(frame, pose, vertices, last.deformation, matches.weights > 0)
+        before = None if last.pose is None else transform_points(last.pose, last.v4.take(self.region.vertices, axis=0))
+        looks = self.skin.look(frame, pose, vertices, last.deformation, matches.weights > 0, before)
         if looks is not None and last.pose is not None:
             motion = transform_points(pose, self._middle) - transform_points(last.pose, self._middle)
-            clock = clock.seen(looks.first, pose[:3, :3], motion)
+            clock = clock.seen(looks.first, pose[:3, :3], motion, looks.gain)
         return None if clock.late else looks, clock
 
     def _deform_to_depth(self, frame: RgbdFrame, pose: np.ndarray, v1: np.ndarray, matches: Correspondences) -> np.ndarray:
