@@ -70,6 +70,7 @@ OLD_MODULES = {
         "rendering": "geometry.rendering",
         "result_access": "result.access",
         "rows": "result.rows",
+        "sensors.numbered": "geometry.source",
         "stages": "parameters.stages",
         "timing": "runtime.timing",
         "importers.obj": "formats.obj",

@@ -26,6 +26,7 @@ import numpy as np
 
 from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.geometry.mesh import rigid_alignment, transform_points
+from adaptiveface.geometry.source import NumberedFrames
 from adaptiveface.landmarks import FeatureDetector
 from adaptiveface.pipeline import capture_from, one_blas_thread, track_source
 from adaptiveface.synthetic.script import EMOTIONS, unit_vector
@@ -49,7 +50,7 @@ class SmilingSensor(SyntheticSensor):
 
 
 @dataclasses.dataclass(frozen=True)
-class Frames:
+class Frames(NumberedFrames):
     """A source of ``frames``, which bring their features."""
 
     name: str

@@ -13,11 +13,15 @@ from recordings import edit_intrinsics, mutated, png_header
 from adaptiveface.errors import FileFormatError, FrameError, ParameterError, TrackingError
 from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
+from adaptiveface.geometry.source import Abilities
 from adaptiveface.pipeline import capture_from
 from adaptiveface.sensors import FrameSource, Recording, RecordingWriter, open_source
 from adaptiveface.sensors.intrinsics import read_camera
-from adaptiveface.sensors.numbered import Abilities
-from adaptiveface.sensors.orientation import mirrored, turned
+from adaptiveface.sensors.orientation import OrientedSource, mirrored, turned
+from adaptiveface.sensors.record3d import R3dRecording
+from adaptiveface.sensors.video_file import VideoFile
+from adaptiveface.studies.session import Session
+from adaptiveface.synthetic.sensor import SyntheticSensor
 
 CAMERA = Camera(24, 16, 30.0, 31.0, 11.5, 7.5)
 
@@ -215,6 +219,12 @@ def test_what_a_source_declares_has_defaults(folder):
     assert (own.fps, own.has_features, own.notes) == (15.0, False, ()) and len(own.timestamps) == 3
     assert own.read_colour(1).max() == 1 and none.read_colour(1) is None and none.path is None
     own.close()
+
+
+@pytest.mark.parametrize("of_ours", [R3dRecording, Recording, VideoFile, OrientedSource, SyntheticSensor, Session])
+def test_our_own_sources_declare_what_they_are(of_ours):
+    source = of_ours.__new__(of_ours)
+    assert Abilities.of(source) is source  # nothing is guessed from the names of their attributes
 
 
 @pytest.mark.parametrize("content", ["", "[1, 2]", "{", "[" * 100_000, '{"width": 3', "\x00\x01", '"text"'])

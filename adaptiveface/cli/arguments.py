@@ -43,8 +43,8 @@ def source_name(args: argparse.Namespace) -> str:
 
 def opened(text: str, field_of_view: float | None = None):
     """Open the source named by ``text``, and print a line for each thing that it converted or repaired."""
+    from ..geometry.source import Abilities
     from ..sensors import open_source
-    from ..sensors.numbered import Abilities
 
     source = open_source(text, field_of_view)
     for note in Abilities.of(source).notes:

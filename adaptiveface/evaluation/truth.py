@@ -12,8 +12,8 @@ import numpy as np
 from ..errors import FileFormatError
 from ..files.records import array, read, record
 from ..geometry.mesh import transform_points
+from ..geometry.source import Abilities
 from ..renamed import renamed, warn
-from ..sensors.numbered import Abilities
 from ..synthetic.sensor import SyntheticSensor
 
 #: The parts of a take: the neutral scan, the first performance of the script, and its repeat.

@@ -19,13 +19,13 @@ from ..files import release, replacing
 from ..geometry.camera import Camera
 from ..geometry.mesh import rotation_vector_matrix, transform_points
 from ..geometry.painting import lit, paint
+from ..geometry.source import Abilities
 from ..insides import Insides
 from ..result import Result
 from ..retargeting.character import Character
 from ..retargeting.portrait import SKIN, painted_portrait
 from ..runtime.timing import film_frames, gif_frames
 from ..sensors.capture_device import quiet
-from ..sensors.numbered import Abilities
 from .animation import CAMERA_TO_VIEW, AnimatedMesh
 from .encoder import encode_h264, ffmpeg_program
 

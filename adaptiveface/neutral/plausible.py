@@ -17,9 +17,9 @@ import numpy as np
 from ..errors import TrackingError
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import surface_points
+from ..geometry.source import Abilities
 from ..model.actor import Actor
 from ..model.face_model import FaceModel
-from ..sensors.numbered import Abilities
 from ..tracking.detection import measured_size
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import surface_points
+from ..geometry.source import Abilities
 from ..landmarks import FeatureDetector
 from ..model.actor import Actor
 from ..model.face_model import FaceModel, embedded_face_model
@@ -18,7 +19,6 @@ from ..neutral.take import NeutralTake, face_found, neutral_of
 from ..parameters import Parameters
 from ..runtime.blas import one_blas_thread
 from ..sensors import FrameSource
-from ..sensors.numbered import Abilities
 from .progress import capture_bar, progress_bar
 from .reader import FrameReader, reading
 

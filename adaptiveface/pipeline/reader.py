@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 from ..errors import FrameError, TrackingError
 from ..geometry.frame import Features2D, RgbdFrame
+from ..geometry.source import Abilities
 from ..landmarks import FeatureDetector, Upright
 from ..landmarks.irises import IrisFinder
 from ..runtime.closing import Closing
 from ..sensors import FrameSource
-from ..sensors.numbered import Abilities
 from ..sensors.orientation import turned
 
 #: Largest size of the frames that are remembered, bytes. Of further frames only the features are remembered, and they are

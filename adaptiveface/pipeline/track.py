@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..errors import TrackingError
 from ..geometry.frame import RgbdFrame
+from ..geometry.source import Abilities
 from ..insides.gaze import GazeTrack
 from ..landmarks import FeatureDetector
 from ..model.actor import Actor
@@ -18,7 +19,6 @@ from ..result import Result, ResultBuilder
 from ..result.rows import discard, unfinished_folder
 from ..runtime.blas import one_blas_thread
 from ..sensors import FrameSource
-from ..sensors.numbered import Abilities
 from ..tracking.colour_offset import ColourOffset
 from ..tracking.colour_tracker import make_tracker
 from ..tracking.types import TrackedFrame

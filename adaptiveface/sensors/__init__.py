@@ -7,10 +7,10 @@ which has numbered frames and the small interface :class:`FrameSource`. Both tak
 
 from __future__ import annotations
 
+from ..geometry.source import FrameSource
 from .catalogue import SensorInfo, list_sensors, open_sensor
 from .driver import Driver, LiveFrame
 from .live import LiveSensor
-from .numbered import FrameSource
 from .playback import NOISES
 from .recording import Recording, RecordingWriter
 from .sources import open_source

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
-from .numbered import Abilities, FrameSource, NumberedFrames
+from ..geometry.source import Abilities, FrameSource, NumberedFrames
 
 AnyFrame = TypeVar("AnyFrame", bound=RgbdFrame)
 #: Ending of the name of a source whose pictures are mirrored, as selfie videos are.

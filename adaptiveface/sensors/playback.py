@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from ..errors import EndOfRecording, FrameError
 from ..geometry.frame import RgbdFrame
+from ..geometry.source import Abilities
 from ..synthetic.noise import DEPTH_SCALES
 from .driver import Driver, RawFrame
-from .numbered import Abilities
 
 NOISES = tuple(DEPTH_SCALES)
 #: The live synthetic performance: a neutral scan and expressions, rendered once and played back and forth.

@@ -23,10 +23,10 @@ from ..errors import FileFormatError, FrameError
 from ..files import Archive, parse_json
 from ..geometry.camera import MAX_PIXELS, Camera
 from ..geometry.frame import RgbdFrame
+from ..geometry.source import NumberedFrames
 from ..runtime.timing import FrameTimes, frame_times
 from .intrinsics import camera_of, focal_and_centre, rate_of
 from .lzfse_stream import decompress, lzfse_module
-from .numbered import NumberedFrames
 from .recording import DEPTH_RANGE_MM
 
 #: 80,000 frames, which are 22 minutes at 60 frames a second.

@@ -25,10 +25,10 @@ from ..errors import FileFormatError, FrameError
 from ..files import GrowingTable, replacing
 from ..geometry.camera import Camera
 from ..geometry.frame import RgbdFrame
+from ..geometry.source import NumberedFrames
 from ..runtime.closing import Closing
 from .images import read_colour, read_depth, write_image
 from .intrinsics import check_rate_and_scale, intrinsics_json, read_intrinsics
-from .numbered import NumberedFrames
 from .tables import (
     CAMERA_COLUMNS,
     FEATURE_COLUMNS,

@@ -6,9 +6,9 @@ import shlex
 from pathlib import Path
 
 from ..errors import FileFormatError, ParameterError
+from ..geometry.source import FrameSource
 from ..synthetic.look import CHOICES, PERFORMER, parse_performer
 from .file_player import plays
-from .numbered import FrameSource
 from .orientation import OrientedSource, split_mirrored
 from .playback import NOISES
 from .recording import Recording
@@ -37,8 +37,7 @@ def open_source(text: str, field_of_view: float | None = None) -> FrameSource:
     Returns
     -------
     FrameSource
-        The source. Those of this package are :class:`~adaptiveface.sensors.numbered.NumberedFrames`, except for the synthetic
-        sensor.
+        The source. Those of this package are :class:`~adaptiveface.geometry.source.NumberedFrames`.
 
     Raises
     ------

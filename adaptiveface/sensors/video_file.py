@@ -10,9 +10,9 @@ import numpy as np
 
 from ..errors import FileFormatError, FrameError
 from ..geometry.frame import RgbdFrame
+from ..geometry.source import NumberedFrames
 from .capture_device import calibration_for
 from .matroska import is_plain_video
-from .numbered import NumberedFrames
 from .video_probe import MAX_BYTES, too_large
 from .video_stream import pictures, read_index
 

@@ -10,13 +10,13 @@ import numpy as np
 from ..errors import AdaptiveFaceError
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import surface_points
+from ..geometry.source import Abilities
 from ..model import face_model
 from ..neutral.choice import doubts, judge
 from ..neutral.coverage import choose_by_coverage
 from ..neutral.take import face_found
 from ..pipeline import FrameReader
 from ..sensors import FrameSource
-from ..sensors.numbered import Abilities
 
 DEGRADED = "without depth, degraded: pose and expression come from the 2D features, and nothing is learned"
 

@@ -24,11 +24,11 @@ from ..files.records import arrays
 from ..geometry.camera import Camera
 from ..geometry.frame import RgbdFrame
 from ..geometry.mesh import transform_points
+from ..geometry.source import Abilities, NumberedFrames
 from ..model.actor import Actor
 from ..parameters import Parameters
 from ..pipeline import capture_from, one_blas_thread
 from ..sensors import open_source
-from ..sensors.numbered import Abilities
 from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
 from ..tracking.types import TrackedFrame
@@ -53,7 +53,7 @@ def fast() -> bool:
 
 
 @dataclass
-class Session:
+class Session(NumberedFrames):
     """A short performance, with what is known about it.
 
     A session is itself a frame source (``camera``, ``name``, ``len``, ``read``), in which the neutral frames come first.

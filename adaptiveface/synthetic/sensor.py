@@ -5,7 +5,6 @@ Seeds 0 to 99 are for development and tuning; report results on seeds of 1000 an
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,6 +15,7 @@ from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..geometry.mesh import rotation_vector_matrix, surface_points, transform_points
 from ..geometry.rendering import Hits, covering_window, ray_cast
+from ..geometry.source import NumberedFrames
 from ..model.face_model import FaceModel
 from ..renamed import renamed
 from .look import Look
@@ -56,7 +56,7 @@ class GroundTruth:
     performance: int
 
 
-class SyntheticSensor:
+class SyntheticSensor(NumberedFrames):
     """A repeatable recording of a :class:`Performer`.
 
     It begins with ``neutral_frames`` of the neutral face while the head turns. The same ``frames`` of expressions follow
@@ -158,9 +158,6 @@ class SyntheticSensor:
 
     def __len__(self) -> int:
         return self.neutral_frames + self.frames * self.repeats
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        return (self.read(index) for index in range(len(self)))
 
     def ground_truth(self, index: int) -> GroundTruth:
         """Return the exact values behind one frame.

@@ -10,8 +10,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from ..errors import FrameError
-from ..geometry.camera import Camera
-from ..geometry.frame import RgbdFrame
+from .camera import Camera
+from .frame import RgbdFrame
 
 
 @runtime_checkable
