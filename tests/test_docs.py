@@ -16,6 +16,7 @@ import pytest
 import adaptiveface
 from adaptiveface.errors import MissingExtraError
 from adaptiveface.parameters import describe
+from adaptiveface.renamed import OLD_MODULES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -148,6 +149,20 @@ def test_every_link_between_pages_and_every_picture_exists():
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8")):
             if "_generated/" not in target:
                 assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def texts_that_name_modules() -> list[Path]:
+    root = DOCS.parent
+    found = [*root.glob("*.md"), *DOCS.rglob("*.md"), *root.glob("js/src/*.js"), *root.rglob("notebooks/*.ipynb")]
+    found += [path for folder in ("adaptiveface", "data_synth", "docs") for path in (root / folder).rglob("*.py")]
+    return [path for path in found if path.name != "CHANGELOG.md" and "_generated" not in path.parts]
+
+
+def test_every_module_that_a_text_names_exists():
+    old = set(OLD_MODULES)
+    for path in texts_that_name_modules():
+        for name in set(re.findall(r"\badaptiveface(?:\.[a-z_]+)+", path.read_text(encoding="utf-8"))):
+            assert not {name, name.rpartition(".")[0]} & old, f"{path.relative_to(DOCS.parent)}: {name} has moved"
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """How the light of a picture shows the neutral's colours, and how far that picture is believed.
 
 A lamp that moves, a camera that adapts its exposure or its white balance, and a head that turns under the lamp change the
-channels T_qc of the neutral (:func:`~adaptiveface.appearance.channels`) smoothly over the face:
+channels T_qc of the neutral (:func:`~adaptiveface.model.appearance.channels`) smoothly over the face:
 
     expected_qc = gain_c T_qc + b_c0 + b_c . n_q
 

@@ -4,7 +4,7 @@ import {
   BufferAttribute, BufferGeometry, DoubleSide, Mesh, PerspectiveCamera, Points, Scene, ShaderMaterial, WebGLRenderer,
 } from "three";
 
-// A wrapped key light and one at the camera, as in adaptiveface.rendering; both come along with the camera.
+// A wrapped key light and one at the camera, as in adaptiveface.geometry.rendering; both come along with the camera.
 const LIGHT = `
   vec3 lit(vec3 colour, vec3 n, vec3 eye) {
     n = dot(n, eye) < 0.0 ? -n : n;
