@@ -18,7 +18,6 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from ..caches.compiled import compiled
 from ..geometry.camera import Camera
 from ..geometry.frame import FEATURE_REGIONS, Features2D, RgbdFrame
 from ..geometry.mesh import surface_points, transform_points
@@ -26,13 +25,10 @@ from ..model.actor import Actor
 from ..model.appearance import BLURS, blurred_channels, mixtures
 from ..parameters import RefinementParameters
 from .patch_alignment import align_patches
+from .skin_samples import carry_to_pixels
 
-#: Cosine between skin and viewing ray: a sample does not count below the first, and fully from the second on.
-FACING = (0.35, 0.65)
 #: Share of the detector's variance that is a feature's own; the rest is alike at its neighbours.
 OWN_SHARE = 0.15
-#: The residuals of so many neighbouring pixels count as one: what a patch cannot explain is no white noise.
-CORRELATED = 3.0
 #: px beside the patches in which the picture is prepared: blurs and shifts reach so far.
 _BORDER = 16
 #: Every so many samples of a patch are compared at each blur: in a blurred picture neighbours tell the same.
@@ -105,7 +101,7 @@ class FeatureRefinement:
         """The samples as the mesh carries them, in pixels of the cut-out picture."""
         look, actor = self._look, self.actor
         lens = camera.fx, camera.fy, camera.cx - corner[0], camera.cy - corner[1]
-        pixels, weights = _carry(mesh, pose, lens, look.triangles, look.weights, self._nearness, self._area)
+        pixels, weights = carry_to_pixels(mesh, pose, lens, look.triangles, look.weights, self._nearness, self._area)
         homes = surface_points(mesh, actor.feature_triangles, actor.feature_weights)
         return _Patches(camera.project(transform_points(pose, homes)), pixels, weights, look.colours[level], self._starts)
 
@@ -162,41 +158,3 @@ def _error_covariance(actor: Actor, parameters: RefinementParameters) -> np.ndar
     alike = np.exp(-0.5 * (distance / parameters.correlation_length) ** 2) * (FEATURE_REGIONS[:, None] == FEATURE_REGIONS)
     covariance: np.ndarray = parameters.deviation**2 * ((1.0 - OWN_SHARE) * alike + OWN_SHARE * np.eye(len(places)))
     return covariance
-
-
-@compiled(nogil=True)
-def _carry(
-    mesh: np.ndarray,
-    pose: np.ndarray,
-    lens: tuple[float, float, float, float],
-    triangles: np.ndarray,
-    corners: np.ndarray,
-    nearness: np.ndarray,
-    area: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Samples on a mesh (N, 3) in the head frame: their pixels (Q, 2), and by how much each of them counts (Q,).
-
-    Less where the skin turns away; and at most as the independent pixels that it stands for. lens: fx, fy, cx and cy.
-    """
-    pixels, counts = np.empty((len(triangles), 2)), np.empty(len(triangles))
-    camera = np.empty(3)  # where it is, in the head frame
-    for k in range(3):
-        camera[k] = -(pose[0, k] * pose[0, 3] + pose[1, k] * pose[1, 3] + pose[2, k] * pose[2, 3])
-    for q in range(len(triangles)):
-        a, b, c = np.uint32(triangles[q, 0]), np.uint32(triangles[q, 1]), np.uint32(triangles[q, 2])
-        r, s, t = corners[q, 0], corners[q, 1], corners[q, 2]
-        ax, ay, az = mesh[a, 0], mesh[a, 1], mesh[a, 2]
-        bx, by, bz = mesh[b, 0], mesh[b, 1], mesh[b, 2]
-        cx, cy, cz = mesh[c, 0], mesh[c, 1], mesh[c, 2]
-        x, y, z = r * ax + s * bx + t * cx, r * ay + s * by + t * cy, r * az + s * bz + t * cz
-        bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-        u, v, w = camera[0] - x, camera[1] - y, camera[2] - z
-        size = (nx * nx + ny * ny + nz * nz) * (u * u + v * v + w * w)
-        facing = ((nx * u + ny * v + nz * w) / max(np.sqrt(size), 1e-9) - FACING[0]) / (FACING[1] - FACING[0])
-        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
-        pixels[q, 0] = lens[0] * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / depth + lens[2]
-        pixels[q, 1] = lens[1] * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / depth + lens[3]
-        independent = min(area[q] * (lens[0] / depth) ** 2, 1.0) / CORRELATED
-        counts[q] = nearness[q] * min(max(facing, 0.0), 1.0) * independent
-    return pixels, counts

@@ -1,6 +1,6 @@
 """Samples of the skin in a picture: where a mesh carries them, what is seen there, and the rows that follow. Compiled.
 
-dense_skin.py tells what they are for.
+dense_skin.py and feature_refinement.py tell what they are for.
 """
 
 from __future__ import annotations
@@ -11,12 +11,26 @@ from ..caches.compiled import compiled
 
 #: Cosine between skin and viewing ray: a sample does not count below the first, and fully from the second on.
 FACING = (0.35, 0.65)
-#: The residuals of so many neighbouring pixels count as one: what a picture cannot explain is no white noise.
+#: The residuals of so many neighbouring pixels count as one: what a picture or a patch cannot explain is no white noise.
 CORRELATED = 3.0
 _ONE = np.uint32(1)
 
 
 # Numbers of corners and pixels are made unsigned: numba tests each signed index for being negative.
+
+
+@compiled(inline="always")
+def _place(vertices: np.ndarray, triangle: np.ndarray, shares: np.ndarray) -> tuple[float, float, float, float, float, float]:
+    """A sample's point, from its barycentric coordinates (3,), and its triangle's normal, twice the area long."""
+    a, b, c = np.uint32(triangle[0]), np.uint32(triangle[1]), np.uint32(triangle[2])
+    r, s, t = shares[0], shares[1], shares[2]
+    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    bx, by, bz = vertices[b, 0], vertices[b, 1], vertices[b, 2]
+    cx, cy, cz = vertices[c, 0], vertices[c, 1], vertices[c, 2]
+    x, y, z = r * ax + s * bx + t * cx, r * ay + s * by + t * cy, r * az + s * bz + t * cz
+    bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    return x, y, z, nx, ny, nz
 
 
 @compiled(nogil=True)
@@ -31,13 +45,7 @@ def carry(
     points, normals, counts = np.empty((len(triangles), 3)), np.empty((len(triangles), 3)), np.zeros(len(triangles))
     for q in range(len(triangles)):
         a, b, c = np.uint32(triangles[q, 0]), np.uint32(triangles[q, 1]), np.uint32(triangles[q, 2])
-        r, s, t = corners[q, 0], corners[q, 1], corners[q, 2]
-        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-        bx, by, bz = vertices[b, 0], vertices[b, 1], vertices[b, 2]
-        cx, cy, cz = vertices[c, 0], vertices[c, 1], vertices[c, 2]
-        x, y, z = r * ax + s * bx + t * cx, r * ay + s * by + t * cy, r * az + s * bz + t * cz
-        bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        x, y, z, nx, ny, nz = _place(vertices, triangles[q], corners[q])
         scale = 1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
         nx, ny, nz = nx * scale, ny * scale, nz * scale
         points[q, 0], points[q, 1], points[q, 2] = x, y, z
@@ -47,6 +55,37 @@ def carry(
             facing = (cosine - FACING[0]) / (FACING[1] - FACING[0])
             counts[q] = min(max(facing, 0.0), 1.0) * min((reach / z) ** 2, 1.0) / CORRELATED
     return points, normals, counts
+
+
+@compiled(nogil=True)
+def carry_to_pixels(
+    mesh: np.ndarray,
+    pose: np.ndarray,
+    lens: tuple[float, float, float, float],
+    triangles: np.ndarray,
+    corners: np.ndarray,
+    nearness: np.ndarray,
+    area: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples on a mesh (N, 3) in the head frame: their pixels (Q, 2), and by how much each of them counts (Q,).
+
+    Less where the skin turns away; and at most as the independent pixels that it stands for. lens: fx, fy, cx and cy.
+    """
+    pixels, counts = np.empty((len(triangles), 2)), np.empty(len(triangles))
+    camera = np.empty(3)  # where it is, in the head frame
+    for k in range(3):
+        camera[k] = -(pose[0, k] * pose[0, 3] + pose[1, k] * pose[1, 3] + pose[2, k] * pose[2, 3])
+    for q in range(len(triangles)):
+        x, y, z, nx, ny, nz = _place(mesh, triangles[q], corners[q])
+        u, v, w = camera[0] - x, camera[1] - y, camera[2] - z
+        size = (nx * nx + ny * ny + nz * nz) * (u * u + v * v + w * w)
+        facing = ((nx * u + ny * v + nz * w) / max(np.sqrt(size), 1e-9) - FACING[0]) / (FACING[1] - FACING[0])
+        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+        pixels[q, 0] = lens[0] * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / depth + lens[2]
+        pixels[q, 1] = lens[1] * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / depth + lens[3]
+        independent = min(area[q] * (lens[0] / depth) ** 2, 1.0) / CORRELATED
+        counts[q] = nearness[q] * min(max(facing, 0.0), 1.0) * independent
+    return pixels, counts
 
 
 @compiled(nogil=True)
