@@ -2,10 +2,10 @@
 
 The names most programs need; everything else is imported from its module::
 
-    from adaptiveface import FaceTracker, capture_from, open_source
+    from adaptiveface import FaceTracker, capture_source, open_source
 
     source = open_source("synthetic")
-    actor = capture_from(source, neutral_frames=40)
+    actor = capture_source(source, neutral_frames=40)
     tracker = FaceTracker(actor)
     for index in range(len(source)):
         result = tracker.track(source.read(index))
@@ -36,7 +36,7 @@ _HOME = {
     "SyntheticSensor": "synthetic.sensor",
     "TrackedFrame": "tracking.types",
     "capture_actor": "neutral.capture",
-    "capture_from": "pipeline",
+    "capture_source": "pipeline",
     "embedded_face_model": "model.face_model",
     "evaluate_run": "evaluation",
     "open_source": "sensors",
@@ -45,11 +45,12 @@ _HOME = {
 }
 
 __all__ = ["__version__", *_HOME]
+_renamed_object = renamed.old_objects(__name__)
 
 
 def __getattr__(name: str):
     if name not in _HOME:
-        raise AttributeError(f"module 'adaptiveface' has no attribute '{name}'")
+        return _renamed_object(name)
     return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
 
 

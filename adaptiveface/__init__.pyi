@@ -10,7 +10,7 @@ from .model.face_model import FaceModel as FaceModel
 from .model.face_model import embedded_face_model as embedded_face_model
 from .neutral.capture import capture_actor as capture_actor
 from .parameters import Parameters as Parameters
-from .pipeline import capture_from as capture_from
+from .pipeline import capture_source as capture_source
 from .pipeline import track_source as track_source
 from .report import write_report as write_report
 from .result import Result as Result

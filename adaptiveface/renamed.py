@@ -28,12 +28,15 @@ OLD_NAMES: dict[str, dict[str, str]] = {
     },
     "BlendshapeParameters": {
         **{"prune": _REACH, "turned": "profile_stiffness", "every": "vertex_stride", "outlier": "outlier_distance"},
+        "habits": "expression_prior",
     },
     "LaplacianParameters": {"prune": _REACH, "steps": "cg_iterations"},
     "FusionParameters": {"prune": _REACH, **_ANGLE},
     "FitParameters": {"reach": _REACH, **_ANGLE},
     "ShrinkWrapParameters": {"reach": _REACH, **_ANGLE},
     "RefinementParameters": {"alike": "correlation_length"},
+    "SkinParameters": {"looks": "gauss_newton_iterations"},
+    "PersonalBlendshapesParameters": {"spread": "prior_deviation"},
     "AnimatedMesh": _POSE,
     "GroundTruth": _POSE,
     "Performance": _POSE,
@@ -45,6 +48,8 @@ OLD_NAMES: dict[str, dict[str, str]] = {
 }
 #: Module -> its old names -> module and name of today.
 OLD_OBJECTS: dict[str, dict[str, tuple[str, str]]] = {
+    "adaptiveface": {"capture_from": ("adaptiveface.pipeline", "capture_source")},
+    "adaptiveface.pipeline": {"capture_from": ("adaptiveface.pipeline", "capture_source")},
     "adaptiveface.views": {"Workbench": ("adaptiveface.views.stage_explorer", "StageExplorer")},
     "adaptiveface.retargeting.character": {"load_character": ("adaptiveface.retargeting.loading", "load_character")},
 }

@@ -23,7 +23,7 @@ from adaptiveface.evaluation.coefficients import compare_coefficients, known_per
 from adaptiveface.livelink import ARKIT_NAMES
 from adaptiveface.model.blendshapes import deformation_transfer
 from adaptiveface.model.face_model import embedded_face_model
-from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.pipeline import capture_source, track_source
 from adaptiveface.retargeting.arkit import arkit_weights
 from adaptiveface.retargeting.arkit_resolve import unit_names
 from adaptiveface.retargeting.correctives import transferred_correctives
@@ -48,7 +48,7 @@ class SameStyle(Performer):
 def performances(seed: int, frames: int, noise: str):
     """The performer's own performance and one of known coefficients, with one captured actor: (sensor, result) each."""
     sensor = SyntheticSensor(seed, noise, neutral_frames=24, frames=frames, repeats=1, colour=False)
-    actor = capture_from(sensor, None, 24)
+    actor = capture_source(sensor, None, 24)
     known, truth = known_performance(sensor, frames)
     return actor, (sensor, track_source(sensor, actor)), (known, track_source(known, actor)), truth
 

@@ -6,9 +6,9 @@
 A performer turns the head for 40 frames, with a face at rest or smiling throughout; then the same frames follow, so that
 whatever differs comes from the start. Features are detected by MediaPipe. What captures the head:
 
-colour   ``capture_from`` without depth: frames from all over the recording, as ``adaptiveface track video.mp4`` does
+colour   ``capture_source`` without depth: frames from all over the recording, as ``adaptiveface track video.mp4`` does
 live     the frames of the start alone, without depth, as ``adaptiveface live webcam`` does
-depth    ``capture_from`` with depth and 40 neutral frames, as ``adaptiveface track RECORDING`` does
+depth    ``capture_source`` with depth and 40 neutral frames, as ``adaptiveface track RECORDING`` does
 
 Printed for each: by how much the two heads differ over the face after alignment, root mean square, mm; by how much the
 coefficients of the performance differ, root mean square over frames and expressions; and how far each head is from the
@@ -28,7 +28,7 @@ from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.geometry.mesh import rigid_alignment, transform_points
 from adaptiveface.geometry.source import NumberedFrames
 from adaptiveface.landmarks import FeatureDetector
-from adaptiveface.pipeline import capture_from, one_blas_thread, track_source
+from adaptiveface.pipeline import capture_source, one_blas_thread, track_source
 from adaptiveface.synthetic.script import EMOTIONS, unit_vector
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.synthetic.take import Take, read_take
@@ -116,7 +116,7 @@ def compare(way: str, neutral: list[RgbdFrame], smiling: list[RgbdFrame], truth:
     actors, coefficients = [], []
     for name, frames in (("neutral start", neutral), ("smiling start", smiling)):
         source = Frames(name, frames, colour_only)
-        actors.append(capture_from(source, neutral_frames=frames_of_neutral))
+        actors.append(capture_source(source, neutral_frames=frames_of_neutral))
         coefficients.append(track_source(source, actors[-1]).coefficients[START:])
     first, second = actors
     face = first.frontal

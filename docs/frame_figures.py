@@ -18,7 +18,7 @@ import numpy as np
 
 from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.parameters import Parameters
-from adaptiveface.pipeline import FrameReader, capture_from
+from adaptiveface.pipeline import FrameReader, capture_source
 from adaptiveface.registration.association import find_correspondences
 from adaptiveface.result.access import to_head
 from adaptiveface.sensors import Recording
@@ -80,7 +80,7 @@ def main() -> None:
     print("| parameters | stage | median | mean | most |\n|---|---|---|---|---|")
     for name, parameters in (("ours", Parameters()), ("paper", Parameters.paper())):
         with FrameReader(source, remember=True) as reader:
-            actor = capture_from(reader, parameters, None if options.recording else source.neutral_frames)
+            actor = capture_source(reader, parameters, None if options.recording else source.neutral_frames)
             reader.rewind()
             numbers = range(min(len(source), options.frames))
             counts, repeated, error = measure(map(reader.read, numbers), FaceTracker(actor, parameters))

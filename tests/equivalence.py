@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptiveface.geometry.frame import RgbdFrame
-from adaptiveface.pipeline import capture_from, one_blas_thread
+from adaptiveface.pipeline import capture_source, one_blas_thread
 from adaptiveface.sensors import Recording, RecordingWriter
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.tracker import FaceTracker
@@ -55,7 +55,7 @@ class Performance:
         self.camera, self.frames = source.camera, tuple(source)
         self._folder = tempfile.TemporaryDirectory(prefix="performance")
         self._references: dict = {}
-        self.actor = capture_from(self.recording(10_000), neutral_frames=NEUTRAL)
+        self.actor = capture_source(self.recording(10_000), neutral_frames=NEUTRAL)
 
     def __len__(self) -> int:
         return len(self.frames)

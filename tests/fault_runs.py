@@ -35,7 +35,7 @@ from adaptiveface.errors import AdaptiveFaceError, SensorDisconnectedError
 from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.live import FeatureFeed, LiveSession
 from adaptiveface.model.actor import Actor
-from adaptiveface.pipeline import capture_from
+from adaptiveface.pipeline import capture_source
 from adaptiveface.sensors import live as live_module
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.sensors.playback import forth_and_back
@@ -97,7 +97,7 @@ class Stage:
 def make_stage(seed: int = 5) -> Stage:
     """A performer whose 36 frames of expressions go forth and back; tracked undisturbed once."""
     sensor = SyntheticSensor(seed, neutral_frames=12, frames=36, repeats=1, colour=False)
-    stage = Stage(list(sensor), capture_from(sensor, neutral_frames=12))
+    stage = Stage(list(sensor), capture_source(sensor, neutral_frames=12))
     tracker = stage.tracker()
     for number in range(2 * len(stage.frames) + 60):
         stage.clean[number] = tracker.track(stage.scene(number))

@@ -16,7 +16,7 @@ from test_cli import fails, run
 from adaptiveface.errors import FileFormatError, TrackingError
 from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.model.actor import Actor
-from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.pipeline import capture_source, track_source
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, RecordingWriter
 
@@ -86,7 +86,7 @@ def test_an_empty_room_has_no_face(tmp_path, good, detector):
             writer.write(RgbdFrame(depth, SMALL, colour, k, k / 30))
     source = Recording(tmp_path / "wall")
     with pytest.raises(TrackingError, match="wall: no face found in any of 4 frames"):
-        capture_from(source, detector=detector)
+        capture_source(source, detector=detector)
     with pytest.raises(TrackingError, match="wall: the face was found in none of 4 frames"):
         track_source(source, Actor.load(good[1]), detector=detector)
 

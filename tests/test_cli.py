@@ -161,7 +161,7 @@ def test_the_neutral_is_taken_from_frames_with_a_face(take, monkeypatch):
     monkeypatch.setattr(
         "adaptiveface.pipeline.capture.capture_actor", lambda frames, *_: given.extend(frame.index for frame in frames)
     )
-    pipeline.capture_from(Source(take[0]), neutral_frames=3)
+    pipeline.capture_source(Source(take[0]), neutral_frames=3)
     assert given == [1, 3, 4]
 
 
@@ -171,7 +171,7 @@ def test_a_long_scan_is_sampled_evenly(take, monkeypatch):
         "adaptiveface.pipeline.capture.capture_actor", lambda frames, *_: given.extend(frame.index for frame in frames)
     )
     monkeypatch.setattr("adaptiveface.pipeline.capture.MAX_NEUTRAL_FRAMES", 3)
-    pipeline.capture_from(Recording(take[0]))
+    pipeline.capture_source(Recording(take[0]))
     assert given == [0, 3, 6]
 
 

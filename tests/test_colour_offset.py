@@ -8,7 +8,7 @@ import logging
 import numpy as np
 import pytest
 
-from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.pipeline import capture_source, track_source
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.colour_offset import beyond_doubt
 
@@ -35,7 +35,7 @@ class Shifted:
 )
 def test_colour_beside_the_depth_is_said(detector, caplog, right, down, said):
     source = Shifted(SyntheticSensor(4, "structured-light", 8, 30), right, down)
-    actor = capture_from(source, neutral_frames=6, detector=detector)
+    actor = capture_source(source, neutral_frames=6, detector=detector)
     with caplog.at_level(logging.WARNING, "adaptiveface"):
         result = track_source(source, actor, detector=detector)
     notes = [r.getMessage() for r in caplog.records if "not registered" in r.getMessage()]

@@ -12,7 +12,7 @@ from adaptiveface.tracking.resolve import SparseResolve
 MODEL = embedded_face_model()
 NAMES = list(MODEL.generic_names)
 HABITS = Parameters().blendshapes
-NONE = Parameters().replace(**{"blendshapes.habits": 0}).blendshapes
+NONE = Parameters().replace(**{"blendshapes.expression_prior": 0}).blendshapes
 
 
 @pytest.fixture(scope="module")
@@ -104,5 +104,5 @@ def test_some_expressions_of_a_rig_are_solved_by_their_own_names(actor):
 
 
 def test_the_paper_has_no_habits():
-    assert HABITS.habits > 0.0
-    assert Parameters.paper().blendshapes.habits == 0.0
+    assert HABITS.expression_prior > 0.0
+    assert Parameters.paper().blendshapes.expression_prior == 0.0

@@ -17,7 +17,7 @@ from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, Features2D
 from adaptiveface.landmarks import Upright
 from adaptiveface.live.feed import FeatureFeed
-from adaptiveface.pipeline import FrameReader, capture_from, track_source
+from adaptiveface.pipeline import FrameReader, capture_source, track_source
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, RecordingWriter, open_sensor, open_source
 from adaptiveface.sensors.orientation import OrientedSource, as_tracked, mirrored, split_mirrored, turned
@@ -197,10 +197,10 @@ def test_an_upside_down_recording_gives_the_same_head(mannequin, detector, quart
         def read(self, index):
             return super().read(36 + 2 * index)
 
-    actor = capture_from(Part(Recording(mannequin)), detector=detector)
+    actor = capture_source(Part(Recording(mannequin)), detector=detector)
     straight = track_source(Part(Recording(mannequin)), actor, detector=detector)
     source = Part(Recording(mannequin), quarters=quarters)
-    other = capture_from(source, detector=detector)
+    other = capture_source(source, detector=detector)
     result = track_source(source, other, detector=detector)
     assert (result.turned + quarters) % 4 == 0 and result.tracked.all() and straight.tracked.all()
     assert np.abs(other.neutral - actor.neutral).max() < 0.01

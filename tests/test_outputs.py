@@ -236,7 +236,7 @@ def test_commands_refuse_before_any_work(name, tmp_path, monkeypatch, capsys):
 def test_a_signal_is_an_orderly_end_of_a_command(tmp_path, number, status):
     code = (
         "import sys, pathlib, adaptiveface.pipeline as p; from adaptiveface.cli import main;"
-        "work = p.capture_from; p.capture_from = lambda *a, **o: (pathlib.Path('started').touch(), work(*a, **o))[1];"
+        "work = p.capture_source; p.capture_source = lambda *a, **o: (pathlib.Path('started').touch(), work(*a, **o))[1];"
         "sys.argv[1:] = ['track', 'synthetic', '--out', 'r.npz']; sys.exit(main())"
     )
     command = [sys.executable, "-c", code]

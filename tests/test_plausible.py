@@ -22,7 +22,7 @@ from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.choice import WORDS, Judged, choose, costs, doubts, judge
 from adaptiveface.neutral.plausible import ImplausibleFaceError, SizeWatch, check_identity, face_size, likely_unit
 from adaptiveface.neutral.take import neutral_of
-from adaptiveface.pipeline import FrameReader, capture_from, track_source
+from adaptiveface.pipeline import FrameReader, capture_source, track_source
 from adaptiveface.report import write_report
 from adaptiveface.result import Result
 from adaptiveface.sensors import Recording, RecordingWriter, open_source
@@ -78,19 +78,19 @@ def test_a_wrong_unit_is_refused_with_the_likely_one(synthetic, tmp_path, capsys
 
 @pytest.mark.parametrize(("factor", "kind"), [(1.25, "very large"), (0.8, "child's"), (0.75, "child's")])
 def test_a_doubtful_size_is_said_once(synthetic, tmp_path, caplog, factor, kind):
-    capture_from(Recording(linked(tmp_path / "odd", synthetic, factor)), neutral_frames=12)
+    capture_source(Recording(linked(tmp_path / "odd", synthetic, factor)), neutral_frames=12)
     (said,) = [record.getMessage() for record in caplog.records]
     assert kind in said and "1000 is likely" in said and "mm wide" in said and "odd: " in said
 
 
 def test_the_right_unit_says_nothing(synthetic, caplog):
-    capture_from(Recording(synthetic), neutral_frames=12)
+    capture_source(Recording(synthetic), neutral_frames=12)
     assert not caplog.records
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_an_actor_of_another_size_is_refused(synthetic, tmp_path, factor, capsys):
-    capture_from(Recording(synthetic), neutral_frames=12).save(tmp_path / "actor.npz")
+    capture_source(Recording(synthetic), neutral_frames=12).save(tmp_path / "actor.npz")
     folder = linked(tmp_path / "wrong", synthetic, factor)
     arguments = ["--actor", str(tmp_path / "actor.npz"), "--out", str(tmp_path / "r.npz")]
     assert main(["track", str(folder), *arguments]) == 2
@@ -107,7 +107,7 @@ def test_children_and_large_heads_are_captured(seed, scale, monkeypatch):
     performer = Performer(seed)
     monkeypatch.setattr(performer, "surface", lambda x, original=performer.surface: scale * original(x))
     sensor = SyntheticSensor(seed, neutral_frames=8, frames=1, repeats=1, colour=False, performer=performer)
-    size = face_size(embedded_face_model(), capture_from(sensor, neutral_frames=8).neutral)[0]
+    size = face_size(embedded_face_model(), capture_source(sensor, neutral_frames=8).neutral)[0]
     plain = face_size(embedded_face_model(), performer.neutral)[0]
     assert size == pytest.approx(scale * plain, rel=0.08)
 
@@ -118,16 +118,16 @@ def test_children_and_large_heads_are_captured(seed, scale, monkeypatch):
 def test_people(detector, tmp_path, name, factor):
     recording = Recording(linked(tmp_path / name, person(name), factor))
     if factor == 1.0:
-        capture_from(recording, neutral_frames=9, detector=detector)
+        capture_source(recording, neutral_frames=9, detector=detector)
         return
     with pytest.raises(ImplausibleFaceError, match="1000 is likely"):
-        capture_from(recording, neutral_frames=9, detector=detector)
+        capture_source(recording, neutral_frames=9, detector=detector)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_mannequin(mannequin, detector, tmp_path, factor):
     with pytest.raises(ImplausibleFaceError, match="8000 is likely"):
-        capture_from(Recording(linked(tmp_path / "m", mannequin, factor)), neutral_frames=12, detector=detector)
+        capture_source(Recording(linked(tmp_path / "m", mannequin, factor)), neutral_frames=12, detector=detector)
 
 
 def test_a_source_without_a_unit_of_its_own(caplog):
@@ -163,7 +163,7 @@ def test_features_that_show_no_face_are_refused_without_depth_too():
             return dataclasses.replace(frame, depth=np.zeros_like(frame.depth), features=features)
 
     with pytest.raises(TrackingError, match="unlike any person's|no face"):
-        capture_from(Video(), neutral_frames=6)
+        capture_source(Video(), neutral_frames=6)
 
 
 # ---- which frames are the neutral ------------------------------------------------------------------------------------
@@ -255,7 +255,7 @@ def talking_first() -> Take:
 @pytest.mark.parametrize("count", [5, 10])
 def test_a_take_that_begins_badly(name, count, request, caplog):
     takes = []
-    capture_from(request.getfixturevalue(name), neutral_frames=count, on_take=takes.append)
+    capture_source(request.getfixturevalue(name), neutral_frames=count, on_take=takes.append)
     (take,) = takes
     assert not take.leading and min(frame.index for frame in take.frames) >= 10 and len(take.frames) == count
     (said,) = [record.getMessage() for record in caplog.records]
@@ -293,14 +293,14 @@ def test_the_demo_takes_its_leading_frames(caplog):
     """Neutral scans as they should be are taken as before: the first frames, all of them, in order."""
     for seed in (0, 1006):
         sensor, takes = SyntheticSensor(seed, neutral_frames=10, frames=3, repeats=1, colour=False), []
-        capture_from(sensor, neutral_frames=10, on_take=takes.append)
+        capture_source(sensor, neutral_frames=10, on_take=takes.append)
         assert takes[0].leading and [frame.index for frame in takes[0].frames] == list(range(10))
     assert not caplog.records
 
 
 def test_the_mannequin_starts_in_profile(mannequin, detector, caplog):
     takes = []
-    actor = capture_from(Recording(mannequin), neutral_frames=16, detector=detector, on_take=takes.append)
+    actor = capture_source(Recording(mannequin), neutral_frames=16, detector=detector, on_take=takes.append)
     assert not takes[0].leading and 25 <= takes[0].frames[0].index and takes[0].frames[-1].index <= 80
     assert len([record for record in caplog.records if "instead" in record.getMessage()]) == 1
     result = track_source(Recording(mannequin), actor, detector=detector)
@@ -313,7 +313,7 @@ def test_someone_who_smiles_throughout(detector, caplog):
     if not path.is_file():
         pytest.skip(f"the video is not at {path}")
     takes = []
-    capture_from(open_source(str(path)), neutral_frames=20, detector=detector, on_take=takes.append)
+    capture_source(open_source(str(path)), neutral_frames=20, detector=detector, on_take=takes.append)
     chosen = [frame.index for frame in takes[0].frames]
     assert chosen[0] < 20 and chosen[-1] > 130  # frames from all over it, since none need be neutral
     assert not any("open mouth" in record.getMessage() for record in caplog.records)
@@ -399,7 +399,7 @@ def test_notes_are_printed_once(tmp_path, capsys):
 
 def test_the_watch_says_nothing_of_the_same_person(synthetic, caplog):
     recording = Recording(synthetic)
-    watch = SizeWatch(recording, capture_from(recording, neutral_frames=12))
+    watch = SizeWatch(recording, capture_source(recording, neutral_frames=12))
     for frame in recording:
         watch.see(frame)
     watch.judge()

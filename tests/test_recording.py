@@ -14,7 +14,7 @@ from adaptiveface.errors import FileFormatError, FrameError, ParameterError, Tra
 from adaptiveface.geometry.camera import Camera
 from adaptiveface.geometry.frame import FEATURE_IDS, Features2D, RgbdFrame
 from adaptiveface.geometry.source import Abilities
-from adaptiveface.pipeline import capture_from
+from adaptiveface.pipeline import capture_source
 from adaptiveface.sensors import FrameSource, Recording, RecordingWriter, open_source
 from adaptiveface.sensors.intrinsics import read_camera
 from adaptiveface.sensors.orientation import OrientedSource, mirrored, turned
@@ -351,4 +351,4 @@ def test_a_recording_of_broken_frames_alone_is_refused_with_the_first_reason(fol
     for path in (folder / "depth").iterdir():
         path.write_bytes(b"no picture")
     with pytest.raises(TrackingError, match="no frame can be used; 5 broken frames, the first: .*00000.png"):
-        capture_from(Recording(folder))
+        capture_source(Recording(folder))

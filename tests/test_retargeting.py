@@ -76,7 +76,9 @@ def test_sparse_resolve_keeps_the_expressions_that_are_there_and_drops_the_rest(
     x = np.zeros(23)
     x[[0, 5, 20]] = 0.6, 0.8, 0.5
     noise = np.random.default_rng(1).normal(0, 0.3, actor.neutral.shape)
-    lasso = SparseResolve.of(actor, actor.expression_names, BlendshapeParameters(habits=0.0))  # habits have their own tests
+    lasso = SparseResolve.of(
+        actor, actor.expression_names, BlendshapeParameters(expression_prior=0.0)
+    )  # habits have their own tests
     solved = lasso(posed_shape(actor, x) + noise)
     size = np.linalg.norm(actor.blendshapes[:, actor.frontal].reshape(23, -1), axis=1)
     assert (np.abs(solved - x) < 2.5 * np.sqrt(actor.frontal.sum() / 3500) / size + 0.02).all()  # the lasso's shrinkage
@@ -87,7 +89,9 @@ def test_resolve_minimises_its_energy():
     actor = exact_actor()
     rng = np.random.default_rng(2)
     mesh = posed_shape(actor, rng.uniform(0, 0.5, 23)) + rng.normal(0, 0.5, actor.neutral.shape)
-    x = SparseResolve.of(actor, actor.expression_names, BlendshapeParameters(sparsity=2.5, ridge=10.0, habits=0.0))(mesh)
+    x = SparseResolve.of(actor, actor.expression_names, BlendshapeParameters(sparsity=2.5, ridge=10.0, expression_prior=0.0))(
+        mesh
+    )
     basis = actor.blendshapes[:, actor.frontal].reshape(23, -1)
     wanted = (mesh - actor.neutral)[actor.frontal].ravel()
     scale = 2.5 * np.sqrt(actor.frontal.sum() / 3500)

@@ -32,7 +32,7 @@ from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.neutral.colour import capture_colour_actor
 from adaptiveface.parameters import Parameters
-from adaptiveface.pipeline import capture_from, track_source
+from adaptiveface.pipeline import capture_source, track_source
 from adaptiveface.report.sections import heading
 from adaptiveface.result import COLOUR_ONLY, Result
 from adaptiveface.sensors import list_sensors, open_sensor, open_source
@@ -98,7 +98,7 @@ def turns(poses) -> np.ndarray:
 @pytest.mark.slow
 def test_a_video_of_a_performer_is_tracked_from_its_pictures_alone(performer, clip, detector, tmp_path):
     source, tracked = open_source(str(clip)), []
-    actor = capture_from(source, neutral_frames=NEUTRAL, detector=detector)
+    actor = capture_source(source, neutral_frames=NEUTRAL, detector=detector)
     result = track_source(source, actor, detector=detector, on_frame=lambda face, _: tracked.append(face))
 
     assert len(result) == len(performer) and result.tracked.all()

@@ -105,7 +105,7 @@ def _work(folder: Path, job: Job) -> dict:
     from ..evaluation import ErrorCollector, truth_of
     from ..model.actor import Actor
     from ..parameters import Parameters
-    from ..pipeline import FrameReader, capture_from, track_to_file
+    from ..pipeline import FrameReader, capture_source, track_to_file
     from ..sensors import open_source
 
     parameters = Parameters.from_json(job.parameters)
@@ -116,7 +116,7 @@ def _work(folder: Path, job: Job) -> dict:
         still_frames.append(len(take.frames) if take.leading else 0)
 
     with FrameReader(source, remember=not job.actor) as reader:
-        actor = Actor.load(job.actor) if job.actor else capture_from(reader, parameters, job.neutral_frames, on_take=on_take)
+        actor = Actor.load(job.actor) if job.actor else capture_source(reader, parameters, job.neutral_frames, on_take=on_take)
         truth = truth_of(source)
         collector = None if truth is None else ErrorCollector(truth, actor, ("v1", "v4"))
         collect = None if collector is None else lambda tracked, _: collector.add(tracked)

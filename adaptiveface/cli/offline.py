@@ -51,13 +51,13 @@ def run_demo(args: argparse.Namespace) -> int:
     _check_demo(args)
     from ..evaluation import ErrorCollector, GroundTruth
     from ..evaluation.coefficients import measure_coefficients
-    from ..pipeline import FrameReader, capture_from, track_to_file
+    from ..pipeline import FrameReader, capture_source, track_to_file
     from ..synthetic.sensor import SyntheticSensor
 
     sensor = SyntheticSensor(args.seed, args.noise, frames=args.frames)
     args.out.mkdir(parents=True, exist_ok=True)
     with FrameReader(sensor, remember=True) as reader:
-        actor = capture_from(reader, chosen, sensor.neutral_frames, progress=True)
+        actor = capture_source(reader, chosen, sensor.neutral_frames, progress=True)
         actor.save(args.out / "actor.npz")
         collector = ErrorCollector(GroundTruth.of(sensor), actor)
         result = track_to_file(
@@ -115,9 +115,9 @@ def run_capture(args: argparse.Namespace) -> int:
     """Run ``capture SOURCE --out actor.npz``."""
     chosen = parameters(args.set)
     check_output(args.out, "actor", [args.source])
-    from ..pipeline import capture_from
+    from ..pipeline import capture_source
 
-    actor = capture_from(opened(source_name(args), args.fov), chosen, args.neutral_frames, progress=True)
+    actor = capture_source(opened(source_name(args), args.fov), chosen, args.neutral_frames, progress=True)
     actor.save(args.out)
     print(
         f"{args.out}: {len(actor.neutral)} vertices, {len(actor.blendshapes)} expressions, {len(actor.scan_points)} scan points"
@@ -159,7 +159,7 @@ def run_track(args: argparse.Namespace) -> int:
         if args.report.is_dir():
             check_output(args.report / "report.html", "html", inputs)
     from ..model.actor import Actor
-    from ..pipeline import FrameReader, TrackingInterrupted, capture_from, track_to_file
+    from ..pipeline import FrameReader, TrackingInterrupted, capture_source, track_to_file
     from ..result.rows import discard, unfinished_folder
 
     actor = Actor.load(args.actor) if args.actor else None
@@ -173,7 +173,7 @@ def run_track(args: argparse.Namespace) -> int:
 
     try:
         with FrameReader(source, irises=args.irises, remember=actor is None) as reader:
-            actor = actor or capture_from(reader, chosen, args.neutral_frames, progress=True, on_take=on_take)
+            actor = actor or capture_source(reader, chosen, args.neutral_frames, progress=True, on_take=on_take)
             result = track_to_file(reader, actor, args.out, chosen, progress=True, keep_stages=args.keep_stages)
     except TrackingInterrupted as interruption:
         _save_partial(interruption.result, args.out)

@@ -100,7 +100,9 @@ def compare_coefficients(sensor: SyntheticSensor, truth: np.ndarray, result, act
     """
     part = slice(sensor.neutral_frames, None)
     names = tuple(result.expression_names)
-    plain = SparseResolve.of(result.rig(actor), names, replace(blendshape_parameters(result), sparsity=0.0, habits=0.0))
+    plain = SparseResolve.of(
+        result.rig(actor), names, replace(blendshape_parameters(result), sparsity=0.0, expression_prior=0.0)
+    )
     heads = (result[k].head_vertices for k in range(part.start, len(result)))
     found = {
         INITIAL: result.coefficients_initial[part].astype(float),

@@ -206,7 +206,7 @@ def write_demo_character(name: str, result: Result, actor: Actor, source, folder
 
 def run_stream(source, parameters, args: argparse.Namespace) -> int:
     """``adaptiveface stream``: track ``source`` and send every frame."""
-    from ..pipeline import FrameReader, capture_from, track_source
+    from ..pipeline import FrameReader, capture_source, track_source
     from .destinations import addresses, avatar, said
     from .stream import Pace, Streamer
 
@@ -215,7 +215,7 @@ def run_stream(source, parameters, args: argparse.Namespace) -> int:
         if args.actor:
             actor = Actor.load(args.actor)
         else:
-            actor = capture_from(reader, parameters, args.neutral_frames, progress=True)
+            actor = capture_source(reader, parameters, args.neutral_frames, progress=True)
         streamer = Streamer(
             actor,
             parameters.blendshapes.A,

@@ -115,7 +115,7 @@ class BlendshapeParameters(Stage):
         paper="equal",
     )
     ridge: float = parameter(10.0, "penalty on the squared coefficients", unit="mm^2", low=0, high=1e5, log=True, paper=0.0)
-    habits: float = parameter(
+    expression_prior: float = parameter(
         400.0,
         "penalty, in the re-solve, on combinations of expressions that real faces do not make, times the misfit's variance",
         section="6",
@@ -330,6 +330,7 @@ class RefinementParameters(Stage):
     )
 
 
+@renamed
 @dataclass(frozen=True)
 class SkinParameters(Stage):
     """The whole face's colours in the Laplacian step, so that v2 follows motion within the surface; not in the paper."""
@@ -341,18 +342,21 @@ class SkinParameters(Stage):
     samples: int = parameter(3000, "samples that are followed, the most telling first", low=10, high=8000)
     weight: float = parameter(0.4, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
     noise: float = parameter(4.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
-    looks: int = parameter(2, "how often a frame's colours are compared, each time where the time before led", low=1, high=10)
+    gauss_newton_iterations: int = parameter(
+        2, "how often a frame's colours are compared, each from the last result", low=1, high=10
+    )
     cg_iterations: int = parameter(
         1, "preconditioned conjugate-gradient iterations of the depth deformation after the last of these", low=0, high=50
     )
 
 
+@renamed
 @dataclass(frozen=True)
 class PersonalBlendshapesParameters(Stage):
     """The expressions' meshes, improved while tracking (Bouaziz et al. 2013); not in the paper."""
 
     on: bool = parameter(True, "improve the expressions' meshes from the tracked frames", paper=False)
-    spread: float = parameter(
+    prior_deviation: float = parameter(
         0.3, "prior deviation of an expression's motion from the transferred one, as a share of it", low=0.01, high=2, log=True
     )
     noise: float = parameter(

@@ -4,8 +4,9 @@ Sensors, detector, capture and tracking do not know each other and are combined 
 never reach the tracker.
 """
 
+from ..renamed import old_objects
 from ..runtime.blas import one_blas_thread
-from .capture import MAX_NEUTRAL_FRAMES, capture_from
+from .capture import MAX_NEUTRAL_FRAMES, capture_source
 from .reader import FrameReader
 from .track import OnFrame, TrackingInterrupted, track_source, track_to_file
 
@@ -14,8 +15,10 @@ __all__ = [
     "FrameReader",
     "OnFrame",
     "TrackingInterrupted",
-    "capture_from",
+    "capture_source",
     "one_blas_thread",
     "track_source",
     "track_to_file",
 ]
+
+__getattr__ = old_objects(__name__)

@@ -27,7 +27,7 @@ MAX_NEUTRAL_FRAMES = 150
 _log = logging.getLogger(__name__)
 
 
-def capture_from(
+def capture_source(
     source: FrameSource | FrameReader,
     parameters: Parameters | None = None,
     neutral_frames: int | range | None = None,

@@ -27,7 +27,7 @@ from ..geometry.mesh import transform_points
 from ..geometry.source import Abilities, NumberedFrames
 from ..model.actor import Actor
 from ..parameters import Parameters
-from ..pipeline import capture_from, one_blas_thread
+from ..pipeline import capture_source, one_blas_thread
 from ..sensors import open_source
 from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
@@ -111,8 +111,8 @@ class Session(NumberedFrames):
 
     def _captured(self) -> Actor:
         if not self.colour_only:
-            return capture_from(self, Parameters(), neutral_frames=range(len(self.neutral)))
-        actor = capture_from(self, Parameters())  # only the proportions, from frames with any expression
+            return capture_source(self, Parameters(), neutral_frames=range(len(self.neutral)))
+        actor = capture_source(self, Parameters())  # only the proportions, from frames with any expression
         if self.guessed_camera:  # the capture has found the focal length
             self.neutral, self.frames = ([replace(f, camera=self.camera) for f in some] for some in (self.neutral, self.frames))
         return actor

@@ -5,7 +5,7 @@ mesh differs from b0 + B x, and what the frames have in common is a change dB of
 frames t with coefficients x_t and observed displacements d_t(v) - B(v) x_t = r_t(v),
 
     min over dB(v), c(v):  sum_t w_t |r_t(v) - dB(v) x_t - c(v)|^2 / noise^2
-                           + sum_i |dB_i(v)|^2 / (spread |b_i(v)|)^2 + |c(v)|^2 / misfit^2
+                           + sum_i |dB_i(v)|^2 / (prior_deviation |b_i(v)|)^2 + |c(v)|^2 / misfit^2
 
 so that an expression changes only where it moves, by a share of its own motion, as smoothly as that; whatever is off at rest
 goes into c, which is not used: the neutral stays, and coefficients of zero change nothing.
@@ -110,7 +110,7 @@ class PersonalBlendshapes:
         self.parameters = parameters
         lengths = np.linalg.norm(basis, axis=2).T
         #: (n, A + 1) prior standard deviations of dB and c, mm.
-        self._deviations = np.column_stack([parameters.spread * lengths, np.full(len(lengths), MISFIT)])
+        self._deviations = np.column_stack([parameters.prior_deviation * lengths, np.full(len(lengths), MISFIT)])
         self.reset()
 
     def reset(self) -> None:

@@ -23,7 +23,8 @@ class SparseResolve:
     """Finds few bounded coefficients that explain a mesh over the frontal region.
 
     Departures from the paper: see :func:`sparsity_penalty`, and the habits of real faces (:mod:`.expression_prior`), which
-    count as much as the expressions misfit the mesh. With ``sparsity`` and ``habits`` 0 this is the plain bounded fit.
+    count as much as the expressions misfit the mesh. With ``sparsity`` and ``expression_prior`` 0
+    this is the plain bounded fit.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ class SparseResolve:
     basis : (A, N, 3)
         Expressions as displacements from the neutral, mm.
     parameters : BlendshapeParameters
-        ``sparsity``, ``ridge``, ``habits`` and the bounds of the coefficients are used.
+        ``sparsity``, ``ridge``, ``expression_prior`` and the bounds of the coefficients are used.
     dtype : dtype
         Of the basis by which meshes are multiplied. Single precision halves the memory to stream in every frame. The normal
         equations' matrix is in double precision in both cases.
@@ -56,7 +57,7 @@ class SparseResolve:
         self._basis = rows.astype(dtype, copy=False)
         self._penalty = sparsity_penalty(gram, parameters.sparsity, len(self._frontal))
         self._gram, self._matrix = gram, gram + parameters.ridge * np.eye(count)
-        self._habits = parameters.habits * habit_penalty(actor.expression_names[:count])
+        self._habits = parameters.expression_prior * habit_penalty(actor.expression_names[:count])
         self._has_habits = bool(self._habits.any())
         self._bounds = np.full(count, parameters.lower), np.full(count, parameters.upper)
 

@@ -129,7 +129,7 @@ class RetargetingStudy(Displayed):
 
     def _resolved(self, sparsity: float) -> np.ndarray:
         resolve = SparseResolve.of(
-            self.actor, self.names, BlendshapeParameters(sparsity=sparsity, habits=0.0)
+            self.actor, self.names, BlendshapeParameters(sparsity=sparsity, expression_prior=0.0)
         )  # the price alone
         return np.array([resolve(r.v4, r.coefficients) for r in self.results])
 
