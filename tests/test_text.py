@@ -71,7 +71,7 @@ def test_a_name_that_is_no_text_is_printed(saved, tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix" or shutil.which("bash") is None, reason="pipes of a shell")
-@pytest.mark.parametrize("words", ["--help", "export --help", "export {} --format arkit-csv --out {}.csv"])
+@pytest.mark.parametrize("words", ["--help", "--version", "export --help", "export {} --format arkit-csv --out {}.csv"])
 def test_a_closed_pipe_ends_quietly(saved, words):
     words = words.format(saved / "result.npz", saved / "x")
     line = f"{sys.executable} -m adaptiveface {words} | true; exit ${{PIPESTATUS[0]}}"

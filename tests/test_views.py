@@ -31,7 +31,8 @@ from adaptiveface.insides import make_insides, placed  # noqa: E402
 from adaptiveface.parameters import Parameters, describe  # noqa: E402
 from adaptiveface.studies import fit, icp, laplacians, learning, sweep
 from adaptiveface.studies.printed_equation import PrintedEquation
-from adaptiveface.studies.session import Session, liveliest_window  # noqa: E402
+from adaptiveface.studies.rendered import liveliest_window  # noqa: E402
+from adaptiveface.studies.session import Session  # noqa: E402
 from adaptiveface.tracking.tracker import FaceTracker  # noqa: E402
 from adaptiveface.views import fit_study, saved  # noqa: E402
 from adaptiveface.views.kernel import BackgroundTask, on_main_thread, shown_errors  # noqa: E402

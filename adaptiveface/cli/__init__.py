@@ -44,6 +44,10 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with orderly_end():
             status = _run(argv)
+    except SystemExit as end:  # argparse has shown a help or the version, or refused the command line
+        if argv is not None:
+            raise
+        status = int(end.code or 0)
     except KeyboardInterrupt as interruption:  # a second Ctrl-C, while the first was handled
         status = _interrupted(interruption)
     if argv is None:
@@ -52,8 +56,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str] | None) -> int:
-    args = _parser().parse_args(argv)
     try:
+        args = _parser().parse_args(argv)  # writes a help, too, which is broken off with its pipe
         with Notes():
             return args.run(args)
     except AdaptiveFaceError as error:
