@@ -38,7 +38,17 @@ class FrameSource(Protocol):
 
     @abstractmethod
     def read(self, index: int) -> RgbdFrame:
-        """Return frame ``index`` (0-based).
+        """Return a frame.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame (0-based).
+
+        Returns
+        -------
+        RgbdFrame
+            The frame. Its depth is (H, W) float32 in mm.
 
         Raises
         ------

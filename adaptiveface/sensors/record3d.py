@@ -104,25 +104,7 @@ class R3dRecording(NumberedFrames):
         return len(self._frame_numbers)
 
     def read(self, index: int) -> RgbdFrame:
-        """Return a frame.
-
-        Parameters
-        ----------
-        index : int
-            Number of the frame (0-based).
-
-        Returns
-        -------
-        RgbdFrame
-            The frame. Its depth is (dh, dw) float32 in mm, and its colour is scaled to the same size.
-
-        Raises
-        ------
-        FrameError
-            The frame cannot be used.
-        IndexError
-            There is no frame of this number.
-        """
+        """Return a frame, as ``FrameSource.read`` says. Its colour is scaled to the size of its depth."""
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of a recording of {len(self)}")
         number = self._frame_numbers[index]

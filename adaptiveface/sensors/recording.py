@@ -113,25 +113,7 @@ class Recording(NumberedFrames):
         return self._length
 
     def read(self, index: int) -> RgbdFrame:
-        """Return a frame.
-
-        Parameters
-        ----------
-        index : int
-            Number of the frame (0-based).
-
-        Returns
-        -------
-        RgbdFrame
-            The frame. Its depth is (H, W) float32 in mm. Its colour is (H, W, 3) uint8 RGB, or None if the recording has none.
-
-        Raises
-        ------
-        FrameError
-            The frame cannot be used. The message names the file and the reason.
-        IndexError
-            There is no frame of this number.
-        """
+        """Return a frame, as ``FrameSource.read`` says. Its colour is None if the recording has none."""
         if not 0 <= index < self._length:
             raise IndexError(f"frame {index} of a recording of {self._length}")
         number = self._first + index

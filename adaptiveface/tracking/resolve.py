@@ -22,9 +22,9 @@ SPARSITY_VERTICES = 3500
 class SparseResolve:
     """Finds few bounded coefficients that explain a mesh over the frontal region.
 
-    Departures from the paper: see :func:`sparsity_penalty`, and the habits of real faces (:mod:`.expression_prior`), which
-    count as much as the expressions misfit the mesh. With ``sparsity`` and ``expression_prior`` 0
-    this is the plain bounded fit.
+    There are two departures from the paper: the penalty of :func:`sparsity_penalty`, and the habits of real faces
+    (:mod:`.expression_prior`), which count as much as the expressions misfit the mesh. With ``sparsity`` and
+    ``expression_prior`` 0 this is the plain bounded fit.
 
     Parameters
     ----------
