@@ -35,7 +35,7 @@ OLD_NAMES: dict[str, dict[str, str]] = {
     "FitParameters": {"reach": _REACH, **_ANGLE},
     "ShrinkWrapParameters": {"reach": _REACH, **_ANGLE},
     "RefinementParameters": {"alike": "correlation_length"},
-    "SkinParameters": {"looks": "gauss_newton_iterations"},
+    "SkinParameters": {"looks": "gauss_newton_steps"},
     "PersonalBlendshapesParameters": {"spread": "prior_deviation"},
     "AnimatedMesh": _POSE,
     "GroundTruth": _POSE,

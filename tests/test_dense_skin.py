@@ -290,7 +290,7 @@ def test_motion_within_the_surface_is_followed(sensor, actor, frames):
 
 def test_a_second_look_follows_fast_motion_further(sensor, actor, frames):
     """Ten frames a second: twelve conjugate-gradient steps after one look, or six after each of two."""
-    once, twice = (ON.replace(skin__gauss_newton_iterations=n, skin__cg_iterations=12 // n) for n in (1, 2))
+    once, twice = (ON.replace(skin__gauss_newton_steps=n, skin__cg_iterations=12 // n) for n in (1, 2))
     errors = [within_surface(sensor, actor, v2_of(actor, frames[::3], p), stride=3) for p in (once, twice)]
     assert errors[1] < 0.26 and errors[1] < 0.96 * errors[0]  # mm; 0.271 and 0.259 when this was written
 

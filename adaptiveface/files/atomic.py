@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import AdaptiveFaceError
+from ..runtime.interrupt import CtrlC
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) if hasattr(errno, "EDQUOT") else (errno.ENOSPC, errno.EFBIG)
 
@@ -139,14 +140,16 @@ def _swap(temporary: Path, target: Path, previous: Path) -> None:
     if not target.exists():
         os.replace(temporary, target)
         return
-    try:
-        os.replace(target, previous)
-        os.replace(temporary, target)
-    except BaseException:  # Ctrl-C between the two
-        if not target.exists():
-            os.replace(previous, target)
-        raise
-    _remove(previous)
+    with CtrlC() as ctrl_c:  # these steps take milliseconds, and no folder may be left between two of them
+        try:
+            os.replace(target, previous)
+            os.replace(temporary, target)
+        except BaseException:  # the disk, or a second Ctrl-C
+            if not target.exists():
+                os.replace(previous, target)
+            raise
+        _remove(previous)
+    ctrl_c.check()
 
 
 def _remove(folder: Path) -> None:

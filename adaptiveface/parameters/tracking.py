@@ -342,7 +342,7 @@ class SkinParameters(Stage):
     samples: int = parameter(3000, "samples that are followed, the most telling first", low=10, high=8000)
     weight: float = parameter(0.4, "weight of the samples against depth, features and smoothing", low=0, high=1e3, log=True)
     noise: float = parameter(4.0, "a sample fits no better than this", unit="%", low=0.5, high=50, log=True)
-    gauss_newton_iterations: int = parameter(
+    gauss_newton_steps: int = parameter(
         2, "how often a frame's colours are compared, each from the last result", low=1, high=10
     )
     cg_iterations: int = parameter(

@@ -245,7 +245,7 @@ class FaceTracker(Tracker):
             p, planes = self.parameters, matches.normals @ pose[:3, :3]
             term = self._feature_term(frame, pose, v1, p.laplacian.feature_weight, hold_depth=False)
         d, colours = self.state.deformation, looks.first
-        for left in range(p.skin.gauss_newton_iterations - 1, -1, -1):
+        for left in range(p.skin.gauss_newton_steps - 1, -1, -1):
             with timed(ms, "laplacian"):  # before the last look, smooth motion is enough
                 d = looks.deformation.deform(matches, planes, term, d, 0 if left else p.skin.cg_iterations, colours)
             with timed(ms, "skin"):
