@@ -33,7 +33,7 @@ def test_paper_figures_add_up():
 
 def test_stages_are_recorded_once_per_frame(recorded):
     rounds = recorded.tracker.parameters.blendshapes.iterations
-    assert len(recorded.align) == len(recorded.fit) == 6 and len(recorded.solve) == 6 * rounds
+    assert len(recorded.align) == len(recorded.fit) == 6 and 6 < len(recorded.solve) < 6 * rounds  # some end early
     assert len(recorded.learn) == 60
     calls = len(recorded.align)
     recorded.tracker.rigid.align(*recorded.align[0])
@@ -62,8 +62,8 @@ def test_point_clouds_of_the_icp_peer_are_the_tracked_surface(recorded):
     o3d = pytest.importorskip("open3d")
     surface, shape, normals, pose = recorded.align[0]
     source, target = peers._clouds(o3d, surface, shape @ pose[:3, :3].T + pose[:3, 3])
-    near = np.asarray(target.compute_point_cloud_distance(source))
-    assert np.median(near) < 3.0 and (np.asarray(target.normals)[:, 2] < 0).mean() > 0.99
+    near = np.asarray(source.compute_point_cloud_distance(target))
+    assert np.median(near) < 1.0 and (np.asarray(target.normals)[:, 2] < 0).mean() > 0.99
 
 
 def test_missing_peers_are_named_with_the_way_to_install_them(recorded, monkeypatch):

@@ -24,8 +24,8 @@ from adaptiveface.synthetic.look import Look
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking import skin_light, skin_samples
 from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation
-from adaptiveface.tracking.skin_term import SkinTerm
 from adaptiveface.tracking.slow_modes import slowest_modes
+from adaptiveface.tracking.surface_term import SurfaceTerm
 from adaptiveface.tracking.tracker import FaceTracker
 
 ON, OFF = Parameters().replace(skin__on=True), Parameters().replace(skin__on=False)
@@ -239,7 +239,7 @@ def test_conjugate_gradients_reach_the_minimum_of_depth_and_colour():
     matches = Correspondences(rng.normal(0, 1, n), normals, rng.uniform(0, 1, n))
     corners, shares = rng.integers(0, n, (30, 3)), rng.dirichlet(np.ones(3), 30)
     factors, pulls = 0.3 * rng.standard_normal((30, 2, 3)), rng.standard_normal((30, 3))
-    skin = SkinTerm(corners, shares, np.einsum("qri,qrj->qij", factors, factors), pulls)
+    skin = SurfaceTerm(corners, shares, np.einsum("qri,qrj->qij", factors, factors), pulls)
     none = FeatureTerm(np.zeros(0, int), np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
 
     at = np.zeros((30, n))

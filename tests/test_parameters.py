@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import adaptiveface
+from adaptiveface.cli.arguments import parameters
 from adaptiveface.errors import ParameterError
 from adaptiveface.parameters import FitParameters, Parameters, describe
 from adaptiveface.renamed import OLD_MODULES, OLD_NAMES, OLD_OBJECTS
@@ -23,6 +24,12 @@ def test_paper_values_are_the_printed_ones():
     assert paper.adaptive_pca.startup == "full-buffer"
     assert (paper.rigid.max_correspondence_distance, paper.rigid.max_residual, paper.depth.crop) == (25.0, 3.0, 200)
     assert (paper.kalman.process_noise, paper.kalman.measurement_noise) == (0.05, 0.02)
+
+
+def test_live_tracking_differs_from_the_defaults_in_how_often_the_detector_looks():
+    assert Parameters.live() == Parameters().replace(refinement__detect_every=2)
+    assert parameters(["laplacian.w1=0.2"], live=True) == Parameters.live().replace(laplacian__w1=0.2)
+    assert parameters(["refinement.detect_every=1"], live=True) == Parameters()
 
 
 @pytest.mark.parametrize("key, value", [("laplacian.w1", "0.2"), ("laplacian__w1", 0.2)])

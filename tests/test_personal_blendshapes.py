@@ -35,8 +35,7 @@ def learned(basis, change, frames=400, offset=0.0, seed=1, **parameters):
     learner, rng = PersonalBlendshapes(basis, settings), np.random.default_rng(seed)
     for _ in range(frames):
         x = rng.uniform(0, 1, len(basis)) * (rng.uniform(size=len(basis)) < 0.6)
-        rest = np.tensordot(x, change - learner.change, axes=1) + offset
-        learner.learn(x, rest.ravel())
+        learner.learn(x, (np.tensordot(x, basis + change, axes=1) + offset).ravel())
     return learner
 
 

@@ -12,6 +12,7 @@ from scipy import stats
 
 from ..errors import MissingExtraError
 from ..live import FeatureFeed, LiveSession
+from ..parameters import Parameters
 from .live import FastDriver, TimedDetector, live_scene
 
 #: Length of the warm-up as a share of the measured time, and its largest value, s. In this time buffers fill, and the C
@@ -157,7 +158,7 @@ def soak(
         count[0] += 1
         count[1] += not result.tracked.tracked
 
-    with sensor, FeatureFeed(sensor, detector) as feed, LiveSession(feed, actor, on_result=[note]) as session:
+    with sensor, FeatureFeed(sensor, detector) as feed, LiveSession(feed, actor, Parameters(), [note]) as session:
         session.latest(timeout=60.0)
         start = time.perf_counter()
         while (now := time.perf_counter() - start) < _total_seconds(minutes):

@@ -113,8 +113,11 @@ def add_neutral_frames(command: argparse.ArgumentParser, default: int | None = 4
     )
 
 
-def parameters(settings: list[str]):
-    """Make the :class:`~adaptiveface.parameters.Parameters` that ``--set`` asks for. Raises :class:`ParameterError`."""
+def parameters(settings: list[str], live: bool = False):
+    """Make the :class:`~adaptiveface.parameters.Parameters` that ``--set`` asks for, from the defaults or from the live ones.
+
+    Raises :class:`ParameterError`.
+    """
     from ..parameters import Parameters
 
     values = {}
@@ -123,7 +126,7 @@ def parameters(settings: list[str]):
         if not equals or "." not in name:
             raise ParameterError(f"--set {setting}: stage.name=value is expected, e.g. laplacian.w1=0.2")
         values[name] = value
-    return Parameters().replace(**values)
+    return (Parameters.live() if live else Parameters()).replace(**values)
 
 
 def several(low: int, high: int) -> Callable[[str], list[int]]:

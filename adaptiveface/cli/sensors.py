@@ -69,7 +69,7 @@ def run_stream(args: argparse.Namespace) -> int:
     from ..livelink.receiver import is_livelink
     from ..livelink.take import is_take
 
-    chosen = parameters(args.set)
+    chosen = parameters(args.set, live=True)
     if is_livelink(args.source):
         from ..live.livelink import run_livelink_stream
 
@@ -124,4 +124,4 @@ def run_live(args: argparse.Namespace) -> int:
 
     if args.sensor is not None and not is_livelink(args.sensor):
         args.sensor = source_name(args)
-    return run(args, parameters(args.set))
+    return run(args, parameters(args.set, live=True))

@@ -45,7 +45,7 @@ class LiveRun(Closing):
     actor : Actor or path-like, optional
         The rig, or its file. Without it, the run begins with a neutral scan.
     parameters : Parameters, optional
-        The parameters of the tracker.
+        The parameters of the tracker; :meth:`.Parameters.live` by default.
     seconds : float
         Length of the neutral scan, s.
     detect : bool
@@ -67,7 +67,7 @@ class LiveRun(Closing):
         self._given, self._detect = sensor, detect
         self.name = sensor if isinstance(sensor, str) else sensor.name
         self.actor = Actor.load(actor) if isinstance(actor, (str, PathLike)) else actor
-        self._parameters, self.seconds = parameters or Parameters(), seconds
+        self._parameters, self.seconds = parameters or Parameters.live(), seconds
         self.sensor: LiveSensor | None = None
         self.feed: FeatureFeed | None = None
         self.session: LiveSession | None = None

@@ -46,7 +46,8 @@ class LiveSession:
     The functions ``on_result`` are called with every :class:`LiveResult`, on the tracker's thread. A function that raises an
     error is not called again. The next :meth:`latest` or :meth:`close` raises this error once, and tracking goes on. If the
     sensor is disconnected, :attr:`statistics` reports this, and the session goes on when the sensor is back. ``running`` is
-    False once no further result will come. ``ended`` is True if the recording is over.
+    False once no further result will come. ``ended`` is True if the recording is over. Without ``parameters``, they are
+    :meth:`.Parameters.live`.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class LiveSession:
     ) -> None:
         self.feed, self.actor = feed, actor
         self.running, self.ended = True, False
-        self._parameters, self._frozen = parameters or Parameters(), False
+        self._parameters, self._frozen = parameters or Parameters.live(), False
         self._tracker = make_tracker(actor, self._wanted(), feed.sensor.colour_only)
         self._callbacks = tuple(on_result)
         self._results: Latest[LiveResult] = Latest(feed.sensor.name, "session")

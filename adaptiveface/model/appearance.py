@@ -54,7 +54,7 @@ def channels(picture: np.ndarray, blur: float) -> np.ndarray:
     Neither depends much on the light: lips stay redder than skin where a shadow falls. On the real mannequin's turn plain
     brightness pulled the lips along with the shading (median 0.97 px; so 0.84; the detector's own 1.20).
     """
-    return blurred_channels(mixtures(np.ascontiguousarray(picture)), blur)
+    return blurred_channels(mixtures(picture), blur)
 
 
 def blurred_channels(mixed: np.ndarray, blur: float) -> np.ndarray:
@@ -72,15 +72,21 @@ def contrast(brightness: np.ndarray) -> np.ndarray:
     return cv2.log(relative) * np.float32(100.0)
 
 
-@compiled(nogil=True)
 def mixtures(picture: np.ndarray) -> np.ndarray:
     """(4, H, W) float32 of an RGB picture (H, W, 3): brightness, and two differences and the sum that they are shares of."""
-    height, width = picture.shape[:2]
-    out = np.empty((4, height, width), np.float32)
-    for i in range(height):
-        for j in range(width):
-            red, green, blue = np.float32(picture[i, j, 0]), np.float32(picture[i, j, 1]), np.float32(picture[i, j, 2])
-            out[0, i, j] = np.float32(0.3) * red + np.float32(0.59) * green + np.float32(0.11) * blue + np.float32(DARK)
-            out[1, i, j], out[2, i, j] = red - green, green - blue
-            out[3, i, j] = (red + green + blue + np.float32(DARK)) * np.float32(1.0 / CHROMA)
-    return out
+    return _mixtures(*cv2.split(picture))
+
+
+@compiled(nogil=True)
+def _mixtures(red: np.ndarray, green: np.ndarray, blue: np.ndarray) -> np.ndarray:
+    """:func:`mixtures` of the picture's planes, each (H, W) uint8: pixels side by side take a quarter of the time."""
+    height, width = red.shape
+    out = np.empty((4, height * width), np.float32)
+    brightness, first, second, total = out
+    reds, greens, blues = red.ravel(), green.ravel(), blue.ravel()
+    for i in range(len(reds)):
+        r, g, b = np.float32(reds[i]), np.float32(greens[i]), np.float32(blues[i])
+        brightness[i] = np.float32(0.3) * r + np.float32(0.59) * g + np.float32(0.11) * b + np.float32(DARK)
+        first[i], second[i] = r - g, g - b
+        total[i] = (r + g + b + np.float32(DARK)) * np.float32(1.0 / CHROMA)
+    return out.reshape(4, height, width)

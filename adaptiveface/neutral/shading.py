@@ -86,7 +86,7 @@ def shaded_face(actor: Actor, frame: RgbdFrame, pose: np.ndarray, places: np.nda
     if (high - low).min() < 2 or not weights.any():
         return None
     assert frame.colour is not None  # the caller ensures it
-    grey = cv2.GaussianBlur(mixtures(np.ascontiguousarray(frame.colour))[0], (0, 0), 2.0)
+    grey = cv2.GaussianBlur(mixtures(frame.colour)[0], (0, 0), 2.0)
     found = cv2.remap(grey, pixels[places].astype(np.float32)[:, None], None, cv2.INTER_LINEAR)[:, 0]
     light = fit_light(np.log(np.maximum(found, 1.0)).astype(float), normals[places], weights)
     hits = ray_cast(camera, vertices, actor.triangles, (*low, *high))

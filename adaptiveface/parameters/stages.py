@@ -12,10 +12,15 @@ from ..errors import ParameterError
 from ..renamed import OLD_NAMES, warn
 
 
-def parameter(default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None):
-    """A dataclass field with its documentation, range (``low`` to ``high``, ``log`` slider) and the paper's value."""
-    metadata = dict(doc=doc, unit=unit, section=section, low=low, high=high, log=log, choices=tuple(choices), paper=paper)
-    return field(default=default, metadata=metadata)
+def parameter(
+    default, doc: str, *, unit: str = "", section: str = "", low=None, high=None, log=False, choices=(), paper=None, live=None
+):
+    """A dataclass field with its documentation and range (``low`` to ``high``, ``log`` slider).
+
+    ``paper`` is the paper's value, and ``live`` the one for live tracking, if they differ from the default.
+    """
+    limits = dict(low=low, high=high, log=log, choices=tuple(choices))
+    return field(default=default, metadata=dict(doc=doc, unit=unit, section=section, **limits, paper=paper, live=live))
 
 
 @dataclass(frozen=True)
@@ -78,11 +83,20 @@ class StageSet:
     @classmethod
     def paper(cls) -> Self:
         """The paper's literal values wherever a field names one."""
+        return cls._of("paper")
+
+    @classmethod
+    def live(cls) -> Self:
+        """The defaults of live tracking: those of all tracking, but for what lowers the latency and costs no accuracy."""
+        return cls._of("live")
+
+    @classmethod
+    def _of(cls, use: str) -> Self:
+        """The values of the fields for a ``use``, which their metadata names."""
         stages = {}
         for stage in fields(cls):
             kind = stage_class(stage)
-            literal = {f.name: f.metadata["paper"] for f in fields(kind) if f.metadata["paper"] is not None}
-            stages[stage.name] = kind(**literal)
+            stages[stage.name] = kind(**{f.name: f.metadata[use] for f in fields(kind) if f.metadata[use] is not None})
         return cls(**stages)
 
     def set(self, **values: Any) -> Self:

@@ -55,7 +55,7 @@ class RigidParameters(Stage):
         8, "most ICP steps; the paper's 3 mm stop rule would end after one", section="4.1", low=1, high=50
     )
     min_step: float = parameter(
-        0.05, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10, log=True
+        0.2, "ICP ends when a step moves the face less than this", unit="mm", section="4.1", low=0, high=10, log=True
     )
     min_matches: int = parameter(150, "fewer correspondences than this and the track is lost", low=6, high=100000)
     stop: str = parameter(
@@ -98,7 +98,10 @@ class BlendshapeParameters(Stage):
 
     A: int = parameter(23, "number of expressions used, in the order of the actor's list", section="4.2", low=1, high=512)
     w: float = parameter(5e-5, "weight of the 2D features", unit="1/px^2", section="4.2", low=1e-7, high=1e-1, log=True)
-    iterations: int = parameter(3, "rounds of correspondence search and solve", section="4.2", low=1, high=20)
+    iterations: int = parameter(3, "most rounds of correspondence search and solve", section="4.2", low=1, high=20)
+    min_step: float = parameter(
+        0.2, "the rounds end when one moves the face less than this", unit="mm", low=0, high=10, log=True, paper=0.0
+    )
     lower: float = parameter(0.0, "lower bound of a coefficient", section="4.2", low=-1, high=0)
     upper: float = parameter(1.0, "upper bound of a coefficient", section="4.2", low=0.1, high=3)
     max_correspondence_distance: float = parameter(
@@ -136,7 +139,7 @@ class BlendshapeParameters(Stage):
         paper=1.0,
     )
     vertex_stride: int = parameter(
-        3, "the rigid and the blendshape fit take every so many vertices", section="4.2", low=1, high=20, paper=1
+        4, "the rigid and the blendshape fit take every so many vertices", section="4.2", low=1, high=20, paper=1
     )
     sparsity: float = parameter(
         2.5,
@@ -317,16 +320,18 @@ class RefinementParameters(Stage):
 
     on: bool = parameter(True, "refine detected features where the neutral scan had colour", paper=False)
     radius: float = parameter(6.0, "skin around a feature that is compared", unit="mm", low=2, high=15)
-    spacing: float = parameter(2.0, "distance between the samples of that skin", unit="mm", low=0.5, high=5)
+    spacing: float = parameter(3.0, "distance between the samples of that skin", unit="mm", low=0.5, high=5)
     deviation: float = parameter(0.9, "standard deviation of the detector's error", unit="mm", low=0.1, high=10, log=True)
     correlation_length: float = parameter(15.0, "distance over which the detector errs alike", unit="mm", low=1, high=100)
     noise: float = parameter(4.0, "a patch fits no better than this", unit="%", low=0.5, high=50, log=True)
     rounds: int = parameter(3, "Gauss-Newton rounds at each blur", low=1, high=20)
     detect_every: int = parameter(
         1,
-        "the detector looks at every so many frames while tracking is certain; between, features are predicted",
+        "the detector looks at every so many frames while tracking is certain (2 in live tracking); "
+        "between, features are predicted",
         low=1,
         high=30,
+        live=2,
     )
 
 

@@ -14,7 +14,7 @@ from ..model.actor import Actor
 from ..model.skin import Skin
 from ..neutral.skin import gather_skin
 from ..parameters import Parameters
-from ..tracking.skin_term import SkinTerm
+from ..tracking.surface_term import SurfaceTerm
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import TrackedFrame
 from .session import Session
@@ -39,7 +39,7 @@ class SkinFrame:
         Its results without and with the colours.
     samples : (Q, 3)
         Places of the skin's samples in the camera frame, mm.
-    term : SkinTerm
+    term : SurfaceTerm
         The rows of the samples.
     """
 
@@ -47,7 +47,7 @@ class SkinFrame:
     without: TrackedFrame
     coloured: TrackedFrame
     samples: np.ndarray
-    term: SkinTerm
+    term: SurfaceTerm
 
     def pixels(self) -> np.ndarray:
         """(Q, 2) places of the samples in the picture, px."""
@@ -109,7 +109,7 @@ def track_skin(session: Session, index: int) -> SkinFrame:
     raise AdaptiveFaceError(f"from frame {index} on, the neutral's colours are not found in any picture")
 
 
-def _rows(tracker: FaceTracker, frame: RgbdFrame, tracked: TrackedFrame) -> SkinTerm | None:
+def _rows(tracker: FaceTracker, frame: RgbdFrame, tracked: TrackedFrame) -> SurfaceTerm | None:
     """The rows of the colours for a frame, from the ``tracker`` as it was before that frame."""
     local = tracker.region.vertices
     measured = np.ones(len(local), bool)

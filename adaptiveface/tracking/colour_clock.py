@@ -1,11 +1,11 @@
 """Tell from a moving face whether the pictures show the same moment as their depth.
 
 Two things are true of late pictures. First, the skin in them lies behind the head: a picture that is tau frames late shows it
-displaced by -tau times the head's motion v, while the depth shows where the head is. The rows of the colours
-(:class:`.skin_term.SkinTerm`) give the displacement s of the whole face. The warm start and the features, which come from the
-same picture, already contain a part of it. Second, they fit the face where it was one frame ago about as well as where it is
-now: the colours (:meth:`.dense_skin.DenseSkin.look`) give the difference g of the two misfits. Over the last frames, in the
-plane of the picture,
+displaced by -tau times the head's motion v, while the depth shows where the head is. The colours' rows
+(:class:`.surface_term.SurfaceTerm`) give the displacement s of the whole face. The warm start and the features, which come from
+the same picture, already contain a part of it. Second, late pictures fit the face where it was one frame ago about as well as
+where it is now: the colours (:meth:`.dense_skin.DenseSkin.look`) give the difference g of the two misfits. Over the last
+frames, in the plane of the picture,
 
     lag = -sum s . v / (sum v . v + 2 mm^2),      agreement = (sum g + 1) / (sum |g| + 1)
 
@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.frame import RgbdFrame
-from .skin_term import SkinTerm
+from .surface_term import SurfaceTerm
 
 #: Factor by which the weight of a frame decreases per frame, and the priors of lag, mm^2, and of agreement.
 FADES, PRIOR, BELIEF = 0.93, 2.0, 1.0
@@ -66,12 +66,12 @@ class ColourClock:
         repeated = same and self.depth is not None and not np.array_equal(depth, self.depth)
         return replace(self, picture=picture, depth=depth, repeated=repeated)
 
-    def seen(self, term: SkinTerm, rotation: np.ndarray, motion: np.ndarray, gain: float) -> ColourClock:
+    def seen(self, term: SurfaceTerm, rotation: np.ndarray, motion: np.ndarray, gain: float) -> ColourClock:
         """Add what that frame's picture shows.
 
         Parameters
         ----------
-        term : SkinTerm
+        term : SurfaceTerm
             Its rows.
         rotation : (3, 3)
             Head to camera.
@@ -90,7 +90,7 @@ class ColourClock:
         )
 
 
-def face_shift(term: SkinTerm) -> np.ndarray:
+def face_shift(term: SurfaceTerm) -> np.ndarray:
     """Common displacement (3,) of all samples in the head frame, mm. A single sample only knows some directions."""
     matrix, pull = term.totals()
     matrix += 1e-3 * np.trace(matrix) * np.eye(3)

@@ -37,8 +37,8 @@ from .laplacian import LaplacianDeformation
 from .region import FrontalRegion
 from .skin_light import fit_light, in_light, row_weights, trust
 from .skin_samples import CORRELATED, FACING, carry, look_up, normal_equations
-from .skin_term import SkinTerm
 from .slow_modes import SlowModes
+from .surface_term import SurfaceTerm
 
 #: px beside the samples in which the picture is prepared: blurs and shifts reach so far.
 _BORDER = 16
@@ -74,7 +74,7 @@ class Looks:
     ----------
     deformation : LaplacianDeformation
         The Laplacian step that takes the rows.
-    first : SkinTerm
+    first : SurfaceTerm
         The rows at the last frame's displacement.
     again : callable
         The rows at another displacement (n, 3), mm.
@@ -84,8 +84,8 @@ class Looks:
     """
 
     deformation: LaplacianDeformation
-    first: SkinTerm
-    again: Callable[[np.ndarray], SkinTerm]
+    first: SurfaceTerm
+    again: Callable[[np.ndarray], SurfaceTerm]
     gain: float
 
 
@@ -166,14 +166,14 @@ class DenseSkin:
         if not (believed.any() and seen.counts.any()):
             return None
 
-        def rows(placed: np.ndarray, seen: Seen, displacement: np.ndarray) -> SkinTerm:
+        def rows(placed: np.ndarray, seen: Seen, displacement: np.ndarray) -> SurfaceTerm:
             residuals = seen.values - expected
             weights = row_weights(residuals, seen.counts, self._variances, self._shares, believed)
             turn = np.ascontiguousarray(pose[:3, :3])
             matrices, forces = normal_equations(residuals, weights, self._skin.slopes, placed, self._corners, turn)
-            return SkinTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
+            return SurfaceTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
 
-        def again(displacement: np.ndarray) -> SkinTerm:
+        def again(displacement: np.ndarray) -> SurfaceTerm:
             placed = transform_points(pose, vertices + displacement)
             return rows(placed, self._see(picture, placed, measured), displacement)
 

@@ -142,6 +142,7 @@ class BlendshapeFit:
         self.depth_vertices = np.flatnonzero(actor.frontal & actor.depth_valid)[:: parameters.vertex_stride]
         self._b0 = np.ascontiguousarray(self.neutral[self.depth_vertices])
         self._middle = self._b0.mean(axis=0)
+        self._radius = float(np.sqrt(((self._b0 - self._middle) ** 2).sum(axis=1).mean()))
         self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[actor.feature_triangles])
         self._take(actor.blendshapes[: parameters.A])
 
@@ -151,6 +152,7 @@ class BlendshapeFit:
         # Single precision: half the memory to stream in every round, and still 1e-5 mm.
         self._b = np.ascontiguousarray(self.basis[:, self.depth_vertices].transpose(1, 2, 0), np.float32)
         self._b_flat = self._b.reshape(-1, count)
+        self._motion = self._b_flat.T.astype(float) @ self._b_flat / max(len(self._b), 1)  # (A, A) mean squared motion, mm^2
         self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, actor.feature_triangles])
         self._flat = self.basis.reshape(count, -1).astype(np.float32, copy=False)
         #: Section 6: the re-solve of the final mesh, ``resolve(vertices (N, 3), start (A,))``.
@@ -215,16 +217,25 @@ class BlendshapeFit:
             The coefficients.
         """
         previous, seen = x, Seen(surface, camera_rows(features, camera), normals, shared)
-        for number in range(self.parameters.iterations, 0, -1):
+        for left in range(self.parameters.iterations - 1, -1, -1):
             equations, centre = self._assemble(seen, pose, x, previous)
             if held is not None:
                 held.add_to(equations, pose, self._middle)
+            before = x
             x, update_for = self.solve(equations, x)
-            if number == 1 and settle is not None:
+            done = left == 0 or self._step(update_for(x), x - before) < self.parameters.min_step
+            if done and settle is not None:
                 x = settle(x)
             if self.parameters.joint_pose:
                 pose = apply_rigid_update(pose, update_for(x), centre)
+            if done:
+                break
         return pose, x
+
+    def _step(self, update: np.ndarray, change: np.ndarray) -> float:
+        """By how much a round moves the face at most, root mean square, mm: pose ``update`` (6,) and ``change`` (A,) of x."""
+        turn, shift = np.linalg.norm(update[:3]), np.linalg.norm(update[3:])
+        return float(turn * self._radius + shift + np.sqrt(max(change @ self._motion @ change, 0.0)))
 
     def _assemble(
         self, seen: Seen, pose: np.ndarray, x: np.ndarray, previous: np.ndarray

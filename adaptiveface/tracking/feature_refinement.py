@@ -76,7 +76,7 @@ class FeatureRefinement:
             return found
         covariance = self._covariance[np.ix_(seen, seen)] * scale**2
         precision = self._precision(seen.tobytes()) / scale**2
-        features, mixed = found, mixtures(np.ascontiguousarray(picture))
+        features, mixed = found, mixtures(picture)
         for level, blur in enumerate(BLURS):
             if level:
                 mesh = follow(features, mesh)

@@ -44,10 +44,8 @@ def camera_rows(features: Features2D | None, camera: Camera) -> FeatureRows:
     if features is None:
         return FeatureRows(np.zeros(0, int), np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros(0))
     index = np.flatnonzero(features.valid)
-    selector = np.zeros((len(index), 2, 3))
-    selector[:, 0, 0] = selector[:, 1, 1] = 1.0
-    selector[:, :, 2] = -features.pixels[index]
-    rows = selector @ camera.matrix
+    projection = camera.matrix
+    rows = projection[:2] - features.pixels[index][:, :, None] * projection[2]
     return FeatureRows(index, rows, np.zeros((len(index), 2)), features.confidence[index].astype(float))
 
 

@@ -21,14 +21,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ..caches.compiled import compiled
 from ..geometry.mesh import cotangent_laplacian
 from ..model.actor import Actor
 from ..registration.association import Correspondences
 from .feature_rows import FeatureRows
 from .prefactored import LaplacianOperator, PrefactoredSystem
-from .skin_term import SkinTerm
 from .slow_modes import SlowModes
+from .surface_term import SurfaceTerm
 
 #: Row numbers (m,) and directions (m, 3) of the features' rows, and the factor of their Woodbury system; None without rows.
 Correction = tuple[np.ndarray, np.ndarray, np.ndarray | None]
@@ -169,7 +168,7 @@ class LaplacianDeformation:
         term: FeatureTerm,
         start: np.ndarray,
         steps: int,
-        skin: SkinTerm | None = None,
+        skin: SurfaceTerm | None = None,
     ) -> np.ndarray:
         """Displacement (n, 3) towards depth and features by ``steps`` preconditioned conjugate-gradient steps.
 
@@ -185,14 +184,19 @@ class LaplacianDeformation:
         def precondition(residual: np.ndarray) -> np.ndarray:
             return self._precondition(residual, correction)
 
+        at_points = [self._at_points(term), skin] if skin is not None else [self._at_points(term)]
+
         def apply(displacement: np.ndarray) -> np.ndarray:
-            image = self._apply(displacement, strength, normals, term)
-            return image if skin is None else image + skin.image(displacement)
+            """The true system's matrix times a displacement (n, 3)."""
+            image = self.system.apply(displacement, strength, normals)
+            for rows in at_points:
+                rows.add_image(image, displacement)
+            return image
 
         displacement = start.copy()
         residual = self.right_hand_side(matches, normals, term) - apply(displacement)
         if skin is not None:
-            residual += skin.right_hand_side(len(residual))
+            skin.add_pulls(residual)
         earlier: list[tuple[np.ndarray, np.ndarray, float]] = []  # directions, their images and their stiffness
         for solve in [*first, *[precondition] * steps]:
             direction = solve(residual)
@@ -211,19 +215,14 @@ class LaplacianDeformation:
     def right_hand_side(self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """b (n, 3) of the normal equations A d = b: depth pulls along ``normals`` (n, 3), features pull at their corners."""
         right: np.ndarray = -(self.w1 * matches.weights * matches.distances)[:, None] * normals
-        self._add_pull(right, term, term.targets)
+        self._at_points(term).add_pulls(right)
         return right
 
-    def _add_pull(self, field: np.ndarray, term: FeatureTerm, values: np.ndarray) -> None:
-        """field += H^T W values, in place."""
-        forces = np.einsum("fr,frd->fd", term.weights * values, term.rows)
-        _pull(field, self.corners[term.index], self.shares[term.index], forces)
-
-    def _apply(self, d: np.ndarray, strength: np.ndarray, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
-        """The true system's matrix times a displacement (n, 3)."""
-        image = self.system.apply(d, strength, normals)
-        self._add_pull(image, term, np.einsum("frd,fd->fr", term.rows, self._at_features(d, term.index)))
-        return image
+    def _at_points(self, term: FeatureTerm) -> SurfaceTerm:
+        """The features' rows, summed up at each feature's point."""
+        weighted = term.weights[:, :, None] * term.rows
+        matrices, pulls = weighted.transpose(0, 2, 1) @ term.rows, np.einsum("fr,frd->fd", term.targets, weighted)
+        return SurfaceTerm(self.corners[term.index], self.shares[term.index], matrices, pulls)
 
     def _precondition(self, right: np.ndarray, correction: Correction | None) -> np.ndarray:
         solved = self.system.precondition(right)
@@ -235,12 +234,3 @@ class LaplacianDeformation:
         at_rows = (rows * self._at_features(solved, index)).sum(axis=1)
         direction: np.ndarray = solved - self._spread(index, rows * dpotrs(factor, at_rows)[0][:, None])
         return direction
-
-
-@compiled
-def _pull(field: np.ndarray, corners: np.ndarray, shares: np.ndarray, forces: np.ndarray) -> None:
-    """Add to a field (n, 3) in place what ``forces`` (f, 3) give to their ``corners`` (f, 3), by ``shares`` (f, 3)."""
-    for f in range(len(forces)):
-        for corner in range(3):
-            for k in range(3):
-                field[corners[f, corner], k] += shares[f, corner] * forces[f, k]

@@ -108,6 +108,7 @@ class PersonalBlendshapes:
 
     def __init__(self, basis: np.ndarray, parameters: PersonalBlendshapesParameters) -> None:
         self.parameters = parameters
+        self._transferred = basis.reshape(len(basis), -1).astype(np.float32)
         lengths = np.linalg.norm(basis, axis=2).T
         #: (n, A + 1) prior standard deviations of dB and c, mm.
         self._deviations = np.column_stack([parameters.prior_deviation * lengths, np.full(len(lengths), MISFIT)])
@@ -136,22 +137,22 @@ class PersonalBlendshapes:
         out._gram, out._moments, out._coming = np.zeros((0, 0)), out.change[:0], out.change[:0]
         return out
 
-    def learn(self, x: np.ndarray, rest: np.ndarray, trust: float = 1.0) -> bool:
+    def learn(self, x: np.ndarray, displacement: np.ndarray, trust: float = 1.0) -> bool:
         """Learn from a frame; True when ``change`` is another one now.
 
         Parameters
         ----------
         x : (A,)
             The frame's coefficients.
-        rest : (3n,)
-            How far the frame's mesh lies from b0 + (B + dB) x, mm.
+        displacement : (3n,)
+            Of the frame's mesh from the neutral, mm.
         trust : float
             How much the frame counts.
         """
         if self._shared:
             self._gram, self._moments, self._coming = self._gram.copy(), self._moments.copy(), self._coming.copy()
             self._shared = False
-        residual = (rest + x @ self.change.reshape(len(x), -1)).astype(np.float32)
+        residual = displacement.astype(np.float32) - x.astype(np.float32) @ self._transferred
         unknowns = np.append(x, 1.0)
         # A face at rest has nothing to say about expressions, and makes none of them forgotten.
         decay = float(np.exp(-trust * min(float(x @ x), 1.0) / self.parameters.memory))

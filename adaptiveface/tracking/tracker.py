@@ -298,5 +298,5 @@ class FaceTracker(Tracker):
         """
         good = state in (SampleState.IN_ANCHOR_SPACE, SampleState.LEARNED)
         if self.personal is not None and good and self.parameters.adaptive_pca.learn:
-            if self.personal.learn(x, self.region.difference(v2, self.blendshapes.shape(x)), coverage):
+            if self.personal.learn(x, self.region.difference(v2, self.actor.neutral), coverage):
                 self.wear_personal()

@@ -50,7 +50,7 @@ class LiveView(Displayed):
     character : str, optional
         A built-in character, or a file with another one, that follows the performance.
     parameters : Parameters, optional
-        Our defaults without.
+        The parameters of the tracker; :meth:`.Parameters.live` by default.
     seconds : float
         Length of the neutral scan.
     detect : bool
@@ -77,7 +77,7 @@ class LiveView(Displayed):
         self._scan_frame: LiveFrame | None = None
         self._dropped_before = (0, 0, 0)
         name = sensor if isinstance(sensor, str) or sensor is None else sensor.name
-        self.controls = LiveControls(self._set_parameters, parameters, name, character, self._expressions)
+        self.controls = LiveControls(self._set_parameters, parameters or Parameters.live(), name, character, self._expressions)
         self.widget = self.controls.widget
         self.input, self.mesh, self.curves = InputPane(), MeshPane(), CurvesPane()
         self._character: CharacterPane | None = None

@@ -1,4 +1,4 @@
-"""The colours' rows in the Laplacian system: sums over samples of the surface, each in one pass. dense_skin.py makes them."""
+"""Rows of the Laplacian system at points of the surface, features or samples of the skin: sums over them, each in one pass."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..caches.compiled import compiled
 
 
 @dataclass(frozen=True)
-class SkinTerm:
-    """Q samples with energy sum_q e_q^T M_q e_q - 2 p_q^T e_q, where e_q = sum_k shares_qk d_corners_qk is a sample's motion.
+class SurfaceTerm:
+    """Q points with energy sum_q e_q^T M_q e_q - 2 p_q^T e_q, where e_q = sum_k shares_qk d_corners_qk is a point's motion.
 
     ``corners`` (Q, 3) numbers of frontal vertices, ``shares`` (Q, 3) barycentric weights, ``matrices`` M (Q, 3, 3), 1/mm^2,
     and ``pulls`` p (Q, 3), 1/mm.
@@ -22,26 +22,23 @@ class SkinTerm:
     matrices: np.ndarray
     pulls: np.ndarray
 
-    def image(self, displacement: np.ndarray) -> np.ndarray:
-        """The term's matrix times a displacement (n, 3)."""
-        return _spread(
-            self.corners, self.shares, _moved(self.corners, self.shares, self.matrices, displacement), len(displacement)
-        )
+    def add_image(self, field: np.ndarray, displacement: np.ndarray) -> None:
+        """Add the term's matrix times a displacement (n, 3) to a field (n, 3), in place."""
+        _spread(field, self.corners, self.shares, _moved(self.corners, self.shares, self.matrices, displacement))
 
-    def right_hand_side(self, count: int) -> np.ndarray:
-        """The pulls at ``count`` vertices (n, 3)."""
-        right: np.ndarray = _spread(self.corners, self.shares, self.pulls, count)
-        return right
+    def add_pulls(self, field: np.ndarray) -> None:
+        """Add the pulls to a field (n, 3), in place."""
+        _spread(field, self.corners, self.shares, self.pulls)
 
     def totals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of the matrices (3, 3) and of the pulls (3,): the rows of a motion that all samples share."""
+        """Sums of the matrices (3, 3) and of the pulls (3,): the rows of a motion that all points share."""
         matrix, pull = _totals(self.matrices, self.pulls)
         return matrix, pull
 
     @classmethod
     def about(
         cls, corners: np.ndarray, shares: np.ndarray, matrices: np.ndarray, forces: np.ndarray, displacement: np.ndarray
-    ) -> SkinTerm:
+    ) -> SurfaceTerm:
         """The term whose rows were linearised at a ``displacement`` (n, 3), where they pull with ``forces`` (Q, 3)."""
         return cls(corners, shares, matrices, forces + _moved(corners, shares, matrices, displacement))
 
@@ -63,16 +60,14 @@ def _moved(corners: np.ndarray, shares: np.ndarray, matrices: np.ndarray, displa
 
 
 @compiled(nogil=True)
-def _spread(corners: np.ndarray, shares: np.ndarray, forces: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) sums over the samples of shares times forces (Q, 3)."""
-    out = np.zeros((count, 3))
+def _spread(field: np.ndarray, corners: np.ndarray, shares: np.ndarray, forces: np.ndarray) -> None:
+    """Add to a field (n, 3) in place what ``forces`` (Q, 3) give to their corners, by the shares."""
     for q in range(len(corners)):
         for k in range(3):
             share, i = shares[q, k], corners[q, k]
-            out[i, 0] += share * forces[q, 0]
-            out[i, 1] += share * forces[q, 1]
-            out[i, 2] += share * forces[q, 2]
-    return out
+            field[i, 0] += share * forces[q, 0]
+            field[i, 1] += share * forces[q, 1]
+            field[i, 2] += share * forces[q, 2]
 
 
 @compiled(nogil=True)
