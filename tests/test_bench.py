@@ -63,7 +63,7 @@ def test_point_clouds_of_the_icp_peer_are_the_tracked_surface(recorded):
     surface, shape, normals, pose = recorded.align[0]
     source, target = peers._clouds(o3d, surface, shape @ pose[:3, :3].T + pose[:3, 3])
     near = np.asarray(source.compute_point_cloud_distance(target))
-    assert np.median(near) < 1.0 and (np.asarray(target.normals)[:, 2] < 0).mean() > 0.99
+    assert np.median(near) < 1.5 and (np.asarray(target.normals)[:, 2] < 0).mean() > 0.99
 
 
 def test_missing_peers_are_named_with_the_way_to_install_them(recorded, monkeypatch):
