@@ -49,7 +49,11 @@ OLD_NAMES: dict[str, dict[str, str]] = {
 #: Module -> its old names -> module and name of today.
 OLD_OBJECTS: dict[str, dict[str, tuple[str, str]]] = {
     "adaptiveface": {"capture_from": ("adaptiveface.pipeline", "capture_source")},
-    "adaptiveface.pipeline": {"capture_from": ("adaptiveface.pipeline", "capture_source")},
+    "adaptiveface.pipeline": {
+        "capture_from": ("adaptiveface.pipeline", "capture_source"),
+        "one_blas_thread": ("adaptiveface.runtime.threads", "one_thread"),
+    },
+    "adaptiveface.runtime.threads": {"one_blas_thread": ("adaptiveface.runtime.threads", "one_thread")},
     "adaptiveface.views": {"Workbench": ("adaptiveface.views.stage_explorer", "StageExplorer")},
     "adaptiveface.retargeting.character": {"load_character": ("adaptiveface.retargeting.loading", "load_character")},
 }
@@ -60,7 +64,8 @@ OLD_MODULES = {
     for old, new in {
         "actor": "model.actor",
         "appearance": "model.appearance",
-        "blas": "runtime.blas",
+        "blas": "runtime.threads",
+        "runtime.blas": "runtime.threads",
         "blendshapes": "model.blendshapes",
         "camera": "geometry.camera",
         "face_model": "model.face_model",

@@ -28,7 +28,7 @@ from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.capture import build_actor, capture_actor
 from adaptiveface.neutral.colour import capture_colour_actor
 from adaptiveface.parameters import Parameters
-from adaptiveface.pipeline import one_blas_thread
+from adaptiveface.pipeline import one_thread
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.synthetic.take import Take, read_take
 from adaptiveface.tracking.colour_tracker import make_tracker
@@ -50,7 +50,7 @@ def main() -> None:
     titles = ("performer", "turn deg", "95 %", "shift mm", "face v1", "face v4", "with pose", "lips mm", "lost")
     print(f"{'':40}" + "".join(f"{title:>10}" for title in titles))
     for seed in args.seeds:
-        with one_blas_thread():
+        with one_thread():
             for name, row in evaluate(seed, args.frames, take, args.only):
                 rows.setdefault(name, []).append(row)
                 print(f"{name:40}{seed:10d}" + _figures(row), flush=True)

@@ -28,7 +28,7 @@ from adaptiveface.model.face_model import FaceModel, embedded_face_model
 from adaptiveface.neutral.capture import capture_actor
 from adaptiveface.neutral.face_quality import head_angles
 from adaptiveface.parameters import Parameters
-from adaptiveface.pipeline import one_blas_thread
+from adaptiveface.pipeline import one_thread
 from adaptiveface.sensors import Recording
 from adaptiveface.tracking.tracker import FaceTracker
 from adaptiveface.tracking.types import TrackedFrame
@@ -65,7 +65,7 @@ def main() -> None:
     model, everybody = embedded_face_model(), []
     print(f"{'':14}{'rough 1/m':>10}{'v4 mm':>8}{'95 %':>8}{'lost':>6}   own curve largest (frontal, all)   AUC (frontal, all)")
     for name in there:
-        with one_blas_thread():
+        with one_thread():
             frames = detected_frames(PEOPLE / name)
             actor = capture_actor(frames[:NEUTRAL], model, parameters)
             skin = capture_actor(frames[:NEUTRAL], model).depth_valid

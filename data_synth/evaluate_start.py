@@ -28,7 +28,7 @@ from adaptiveface.geometry.frame import RgbdFrame
 from adaptiveface.geometry.mesh import rigid_alignment, transform_points
 from adaptiveface.geometry.source import NumberedFrames
 from adaptiveface.landmarks import FeatureDetector
-from adaptiveface.pipeline import capture_source, one_blas_thread, track_source
+from adaptiveface.pipeline import capture_source, one_thread, track_source
 from adaptiveface.synthetic.script import EMOTIONS, unit_vector
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.synthetic.take import Take, read_take
@@ -81,7 +81,7 @@ def main() -> None:
     for seed in args.seeds:
         neutral, smiling, truth = observe(seed, args.frames, take)
         for way in args.ways:
-            with one_blas_thread():
+            with one_thread():
                 row = compare(way, neutral, smiling, truth)
             rows[way].append(row)
             print(f"{way:8}{seed:10d}" + _figures(row), flush=True)

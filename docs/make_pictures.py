@@ -16,7 +16,7 @@ from adaptiveface.insides import make_insides  # noqa: E402
 from adaptiveface.insides.gaze import GazeEstimator  # noqa: E402
 from adaptiveface.landmarks.irises import IrisFinder  # noqa: E402
 from adaptiveface.parameters import Parameters  # noqa: E402
-from adaptiveface.pipeline import capture_source, one_blas_thread  # noqa: E402
+from adaptiveface.pipeline import capture_source, one_thread  # noqa: E402
 from adaptiveface.report.pictures import (  # noqa: E402
     SKIN,
     Portraits,
@@ -149,7 +149,7 @@ def tracked(sensor: SyntheticSensor):
     """The captured actor, the results of the two performances, and the model that was learned."""
     actor = capture_source(sensor, neutral_frames=sensor.neutral_frames)
     tracker = FaceTracker(actor, Parameters())
-    with one_blas_thread():
+    with one_thread():
         results = [tracker.track(sensor.read(index)) for index in range(len(sensor))]
     return actor, results[sensor.neutral_frames :], tracker.model
 

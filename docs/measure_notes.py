@@ -22,7 +22,7 @@ from adaptiveface.evaluation import bootstrap_interval
 from adaptiveface.evaluation.ablation import Variant, run_ablations
 from adaptiveface.evaluation.truth import REPEAT
 from adaptiveface.parameters import KalmanParameters, Parameters
-from adaptiveface.pipeline import capture_source, one_blas_thread
+from adaptiveface.pipeline import capture_source, one_thread
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.kalman import CoefficientFilter
 
@@ -116,7 +116,7 @@ def measure(seed: int, frames: int, stride: int, start: Parameters, variants: Se
     sensor = SyntheticSensor(seed, frames=frames, neutral_frames=16, colour=False)
     actor = capture_source(sensor, neutral_frames=sensor.neutral_frames)
     taken = (sensor.read(index) for index in range(sensor.neutral_frames - 2, len(sensor)))
-    with one_blas_thread():
+    with one_thread():
         found = run_ablations(taken, sensor, actor, start, variants, stride, sensor.neutral_frames + frames)
     out = {}
     for name, evaluation in found.items():

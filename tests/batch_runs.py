@@ -30,7 +30,7 @@ from tqdm import tqdm  # noqa: E402
 
 from adaptiveface.batch import Batch, Job, completed, dask_client, expand, find_sources  # noqa: E402
 from adaptiveface.batch.work import DONE, run_job  # noqa: E402
-from adaptiveface.runtime.blas import one_blas_thread  # noqa: E402
+from adaptiveface.runtime.threads import one_thread  # noqa: E402
 from adaptiveface.synthetic.sensor import SyntheticSensor  # noqa: E402
 
 #: Leading frames that show the neutral; each performance is played twice.
@@ -75,7 +75,7 @@ def in_turn(jobs: list[Job], plain: Path, whole: Path, client, workers: int) -> 
     turn = 2 * workers
     for first in tqdm(range(0, len(jobs), turn), desc="loop and cluster", disable=None):
         mine = jobs[first : first + turn]
-        with one_blas_thread():
+        with one_thread():
             loop += timed(lambda: [run_job(str(plain), job) for job in mine])  # noqa: B023
         cluster += timed(lambda: list(completed(partial(run_job, str(whole)), mine, client)))  # noqa: B023
     Batch(jobs, whole).run(client)  # all are done: it writes the tables

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptiveface.geometry.frame import RgbdFrame
-from adaptiveface.pipeline import capture_source, one_blas_thread
+from adaptiveface.pipeline import capture_source, one_thread
 from adaptiveface.sensors import Recording, RecordingWriter
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking.tracker import FaceTracker
@@ -82,7 +82,7 @@ class Performance:
         tracker, out = FaceTracker(self.actor), {}
         frames = list(frames)
         given = [getattr(f, "sequence", f.index) for f in frames] if numbers is None else list(numbers)
-        with one_blas_thread():
+        with one_thread():
             for number, frame in zip(given, frames, strict=True):
                 features = self.frames[number].features
                 plain = RgbdFrame(frame.depth, frame.camera, None, number, number / 30.0, features)

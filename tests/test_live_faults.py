@@ -11,7 +11,7 @@ from fault_runs import FAULTS, Outcome, Script, judge, learned, make_stage, run
 from live_faults import STALL, ScriptedDriver, raw
 
 from adaptiveface.errors import SensorTimeoutError
-from adaptiveface.runtime.blas import one_blas_thread
+from adaptiveface.runtime.threads import one_thread
 from adaptiveface.sensors.live import LiveSensor
 
 SEEDS = range(4)
@@ -19,7 +19,7 @@ SEEDS = range(4)
 
 @pytest.fixture(scope="module")
 def stage():
-    with one_blas_thread():
+    with one_thread():
         yield make_stage()
 
 

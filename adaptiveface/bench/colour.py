@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
@@ -15,6 +14,7 @@ from ..neutral.appearance import gather_appearance
 from ..neutral.capture import build_actor
 from ..neutral.skin import gather_skin
 from ..parameters import Parameters
+from ..runtime.threads import one_thread
 from ..synthetic.sensor import SyntheticSensor
 from ..tracking.base import stage_clock
 from ..tracking.tracker import FaceTracker
@@ -100,13 +100,13 @@ def colour_table(without: np.ndarray, with_skin: np.ndarray) -> str:
 
 def run_colour(frames: int | None = None) -> int:
     """``adaptiveface bench --colour``: print the table; returns the exit status."""
-    with threadpool_limits(limits=1):
+    with one_thread():
         actor, scene = colour_scene(frames or FRAMES)
         sets = [Parameters().replace(skin__on=on) for on in (False, True)]
         without, with_skin = time_in_turns([FaceTracker(actor, parameters) for parameters in sets], scene)
     print(
         f"{len(actor.neutral)} vertices, {len(without)} frames with pictures, learning on; features refined by the pictures, "
-        f"the detector's own time left out; processor time, one BLAS thread{machine_load()}\n"
+        f"the detector's own time left out; processor time, one thread{machine_load()}\n"
     )
     print(colour_table(without, with_skin))
     return 0

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
 from ..parameters import Parameters
+from ..runtime.threads import one_thread
 from ..synthetic.performer import Performer
 from ..tracking.base import stage_clock
 from ..tracking.tracker import FaceTracker
@@ -146,8 +146,8 @@ def run_growth(vertices: Sequence[int], frames: int | None = None) -> int:
 
     count = frames or FRAMES
     peers.load_peers()
-    with threadpool_limits(limits=1):
-        print(f"{count} frames, learning on, full sample buffers; one BLAS thread{machine_load()}\n")
+    with one_thread():
+        print(f"{count} frames, learning on, full sample buffers; one thread{machine_load()}\n")
         print(vertex_growth(vertices, count, rendering_bar), flush=True)
         for name in OTHERS:
             print(f"\n{parameter_growth(name, count, rendering_bar)}", flush=True)

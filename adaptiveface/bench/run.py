@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
 from ..parameters import Parameters
+from ..runtime.threads import one_thread
 from ..tracking.tracker import FaceTracker
 from ..tracking.types import STAGE_NAMES
 from .bandwidth import traffic_line
@@ -128,7 +128,7 @@ def main(args=None) -> int:
     frames = getattr(args, "frames", None) or FRAMES
 
     load_peers()
-    with threadpool_limits(limits=1):
+    with one_thread():
         actor, scene = bench_scene(frames, progress=rendering_bar)
         timings = time_stages(actor, scene)
         recorded = record(actor, scene, min(RECORDED, frames // 2))
@@ -137,7 +137,7 @@ def main(args=None) -> int:
         traffic = traffic_line(recorded.tracker.model, pca.ours_ms)
     print(
         f"{timings.n_vertices} vertices, {timings.n_frontal} of them frontal; {len(timings.stage_ms)} frames, learning "
-        f"on ({timings.learned} of them learned); one BLAS thread{machine_load()}"
+        f"on ({timings.learned} of them learned); one thread{machine_load()}"
     )
     print(f"\n{stage_table(timings)}\n\n{peer_table(comparisons)}\n\n{verdict(timings, comparisons)}\n{traffic}")
     return 0

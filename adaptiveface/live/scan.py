@@ -12,7 +12,7 @@ from ..errors import EndOfRecording, SensorError, SensorTimeoutError, TrackingEr
 from ..model.actor import Actor
 from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
-from ..runtime.blas import one_blas_thread
+from ..runtime.threads import one_thread
 from ..sensors.live import LiveFrame
 from ..sensors.worker import POLL_SECONDS
 from .feed import FeatureFeed
@@ -117,7 +117,7 @@ class NeutralScan:
         Cancelled
             :meth:`cancel` was called.
         """
-        with one_blas_thread():
+        with one_thread():
             if self.guide is None:
                 return capture_colour_actor(self._faces, parameters=parameters)
             return self.guide.build(parameters, self._report)

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import AdaptiveFaceError, EndOfRecording, SensorError, SensorTimeoutError, TrackingError
 from ..model.actor import Actor
 from ..parameters import Parameters
-from ..runtime.blas import one_blas_thread
+from ..runtime.threads import one_thread
 from ..sensors.live import LiveFrame
 from ..sensors.worker import POLL_SECONDS, Latest, Worker, failure, packaged
 from ..tracking.adaptive_pca import AdaptiveModel
@@ -192,7 +192,7 @@ class LiveSession:
 
     # ---- the tracker's thread --------------------------------------------------------------------------------------
     def _run(self) -> None:
-        with one_blas_thread():
+        with one_thread():
             while not self._results.closed and self._step():
                 pass
 

@@ -5,7 +5,7 @@ never reach the tracker.
 """
 
 from ..renamed import old_objects
-from ..runtime.blas import one_blas_thread
+from ..runtime.threads import one_thread
 from .capture import MAX_NEUTRAL_FRAMES, capture_source
 from .reader import FrameReader
 from .track import OnFrame, TrackingInterrupted, track_source, track_to_file
@@ -16,7 +16,7 @@ __all__ = [
     "OnFrame",
     "TrackingInterrupted",
     "capture_source",
-    "one_blas_thread",
+    "one_thread",
     "track_source",
     "track_to_file",
 ]

@@ -17,7 +17,7 @@ from ..neutral.capture import capture_actor
 from ..neutral.colour import capture_colour
 from ..neutral.take import NeutralTake, face_found, neutral_of
 from ..parameters import Parameters
-from ..runtime.blas import one_blas_thread
+from ..runtime.threads import one_thread
 from ..sensors import FrameSource
 from .progress import capture_bar, progress_bar
 from .reader import FrameReader, reading
@@ -104,14 +104,14 @@ def _read_neutral(reader: FrameReader, wanted: int | range | None, model: FaceMo
 def _capture_depth(
     reader: FrameReader, frames: list[RgbdFrame], model: FaceModel, parameters: Parameters, progress: bool
 ) -> Actor:
-    with one_blas_thread(), capture_bar(progress) as report:
+    with one_thread(), capture_bar(progress) as report:
         return capture_actor(frames, model, parameters, report, reader.source)
 
 
 def _capture_colour(reader: FrameReader, frames: list[RgbdFrame], model: FaceModel, parameters: Parameters, _: bool) -> Actor:
     """Capture the actor of a source without depth. A guessed focal length that is impossible is corrected in the source."""
     guessed = Abilities.of(reader.source).guessed_camera
-    with one_blas_thread():
+    with one_thread():
         capture = capture_colour(frames, model, parameters, guessed)
     if guessed:
         reader.source.camera = reader.source.camera.zoomed(capture.focal)

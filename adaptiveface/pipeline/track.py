@@ -17,7 +17,7 @@ from ..neutral.plausible import SizeWatch
 from ..parameters import Parameters
 from ..result import Result, ResultBuilder
 from ..result.rows import discard, unfinished_folder
-from ..runtime.blas import one_blas_thread
+from ..runtime.threads import one_thread
 from ..sensors import FrameSource
 from ..tracking.colour_offset import ColourOffset
 from ..tracking.colour_tracker import make_tracker
@@ -88,7 +88,7 @@ def track_source(
         count = len(reader.source)
         run = _Run(reader, actor, parameters or Parameters(), keep_stages, folder)
         try:
-            with one_blas_thread(), progress_bar(progress, total=count, desc="tracking", unit="frame") as bar:
+            with one_thread(), progress_bar(progress, total=count, desc="tracking", unit="frame") as bar:
                 for index in range(count):
                     bar.update()
                     run.take(index, on_frame)

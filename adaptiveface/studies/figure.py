@@ -13,7 +13,7 @@ import matplotlib
 
 from ..errors import ParameterError
 from ..files import replacing
-from ..runtime.blas import one_blas_thread
+from ..runtime.threads import one_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,6 +102,6 @@ def paper_figure(number: int, seed: int = 1000, noise: str = "structured-light",
     if number not in FIGURES:
         raise ParameterError(f"figure {number}: one of {', '.join(map(str, FIGURES))} is expected")
     module, title = FIGURES[number]
-    with one_blas_thread():
+    with one_thread():
         caption, figure, rows = importlib.import_module(f".{module}", __package__).draw(seed, noise, frames)
     return PaperFigure(number, title, caption, figure, rows)

@@ -14,7 +14,7 @@ from ..model.face_model import FaceModel, embedded_face_model
 from ..neutral.fit import fit_identity
 from ..neutral.fuse import fuse_frames
 from ..parameters import FitParameters
-from ..pipeline import one_blas_thread
+from ..pipeline import one_thread
 from .session import Session
 
 #: With this multiple of people's deviations, the prior counts 1e-4 of itself, which is practically nothing.
@@ -77,7 +77,7 @@ def fit_with_prior(
         The fitted head and its error.
     """
     model = model or embedded_face_model()
-    with one_blas_thread():
+    with one_thread():
         scan = fuse_frames(frames, model)
         fit = fit_identity(scan, replace(model, identity_modes=deviations * model.identity_modes), FitParameters())
     error = np.full(len(fit.vertices), np.nan)

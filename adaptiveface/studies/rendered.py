@@ -15,7 +15,7 @@ from ..files.npz import load_checked
 from ..files.records import array, by_attribute, checks, record
 from ..geometry.camera import Camera
 from ..geometry.frame import Features2D, RgbdFrame
-from ..runtime.blas import one_blas_thread
+from ..runtime.threads import one_thread
 
 if TYPE_CHECKING:
     from ..synthetic.lesson import LessonSensor
@@ -77,7 +77,7 @@ class RenderedPerformance:
 
         sensor, chosen = _performance(source, neutral_frames, count)
         rows: list[list] = [[] for _ in range(7)]
-        with one_blas_thread():
+        with one_thread():
             for index in tqdm(chosen, desc="rendering the performance (first time only)", unit="frame"):
                 frame, truth = sensor.read(index), sensor.ground_truth(index)
                 values = (

@@ -27,7 +27,7 @@ from ..geometry.mesh import transform_points
 from ..geometry.source import Abilities, NumberedFrames
 from ..model.actor import Actor
 from ..parameters import Parameters
-from ..pipeline import capture_source, one_blas_thread
+from ..pipeline import capture_source, one_thread
 from ..sensors import open_source
 from ..tracking.base import Tracker
 from ..tracking.colour_tracker import make_tracker
@@ -124,7 +124,7 @@ class Session(NumberedFrames):
     def tracked(self, parameters: Parameters | None = None) -> Iterator[TrackedFrame]:
         """Track the performance with a new tracker and yield the result of every frame; our defaults without ``parameters``."""
         tracker = self.make_tracker(self.actor, parameters or Parameters())
-        with one_blas_thread():
+        with one_thread():
             for frame in self.frames:
                 yield tracker.track(frame)
 

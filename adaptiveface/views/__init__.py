@@ -4,6 +4,7 @@ The extra ``notebooks`` is required. :func:`load_session` gives a performance, a
 modules whose names end in ``_study`` show what a single notebook needs; :mod:`adaptiveface.studies` computes it.
 """
 
+import cv2
 from threadpoolctl import threadpool_limits
 
 from ..errors import MissingExtraError
@@ -36,8 +37,10 @@ __getattr__ = old_objects(__name__)
 # What is displayed leaves pictures in the notebook.
 saved.install()
 
-# For the whole kernel: on shared cores a second BLAS thread stalls small products for up to 100 ms, a stutter.
+# For the whole kernel: on shared cores a second BLAS thread stalls small products for up to 100 ms, a stutter, and a second
+# thread of OpenCV only takes time from the others.
 threadpool_limits(limits=1, user_api="blas")
+cv2.setNumThreads(1)
 
 __all__ = [
     "BarChart",

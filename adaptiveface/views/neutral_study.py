@@ -16,7 +16,7 @@ from ..neutral.fit import IdentityFit, ScanSearch
 from ..neutral.fuse import FusedScan, fuse_frames
 from ..neutral.shrink_wrap import shrink_wrap
 from ..parameters import FusionParameters, ShrinkWrapParameters
-from ..pipeline import one_blas_thread
+from ..pipeline import one_thread
 from ..studies.closest import distance_to_truth
 from ..studies.session import Session
 from .face_view import FaceView
@@ -46,7 +46,7 @@ class _Study(Displayed, ABC):
 
     def _redraw(self) -> None:
         self.note = ""
-        with shown_errors(lambda text: setattr(self.message, "value", text or self.note)), one_blas_thread():
+        with shown_errors(lambda text: setattr(self.message, "value", text or self.note)), one_thread():
             self.draw()
             self.view.refresh()
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.mesh import rotation_vector_matrix
 from ..insides import make_insides
 from ..parameters import BlendshapeParameters
-from ..pipeline import one_blas_thread
+from ..pipeline import one_thread
 from ..report.pictures import SKIN, completed
 from ..retargeting import BUILT_IN
 from ..retargeting.arkit import arkit_weights
@@ -140,7 +140,7 @@ class RetargetingStudy(Displayed):
             redraw()
 
     def _redraw(self) -> None:
-        with shown_errors(lambda text: setattr(self.message, "value", text)), one_blas_thread():
+        with shown_errors(lambda text: setattr(self.message, "value", text)), one_thread():
             self.draw()
 
     def coefficients(self, index: int, mode: str | None = None) -> np.ndarray:
