@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -44,6 +45,18 @@ class FeatureTerm:
     rows: np.ndarray
     targets: np.ndarray
     weights: np.ndarray
+
+    @cached_property
+    def matrices(self) -> np.ndarray:
+        """The sums (f, 3, 3) over the rows of w_fr h_fr h_fr^T."""
+        found: np.ndarray = (self.weights[:, :, None] * self.rows).transpose(0, 2, 1) @ self.rows
+        return found
+
+    @cached_property
+    def pulls(self) -> np.ndarray:
+        """The sums (f, 3) over the rows of w_fr t_fr h_fr."""
+        found: np.ndarray = np.einsum("fr,frd->fd", self.weights * self.targets, self.rows)
+        return found
 
 
 def feature_term(
@@ -220,9 +233,7 @@ class LaplacianDeformation:
 
     def _at_points(self, term: FeatureTerm) -> SurfaceTerm:
         """The features' rows, summed up at each feature's point."""
-        weighted = term.weights[:, :, None] * term.rows
-        matrices, pulls = weighted.transpose(0, 2, 1) @ term.rows, np.einsum("fr,frd->fd", term.targets, weighted)
-        return SurfaceTerm(self.corners[term.index], self.shares[term.index], matrices, pulls)
+        return SurfaceTerm(self.corners[term.index], self.shares[term.index], term.matrices, term.pulls)
 
     def _precondition(self, right: np.ndarray, correction: Correction | None) -> np.ndarray:
         solved = self.system.precondition(right)
