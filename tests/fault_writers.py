@@ -46,6 +46,7 @@ from adaptiveface.runtime.interrupt import orderly_end
 from adaptiveface.sensors import Recording, RecordingWriter
 
 SIGNALS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "KILL": signal.SIGKILL}
+_ENDING = {signal.SIGINT, signal.SIGTERM}
 #: Longest that a writer may take, s.
 LIMIT = 300.0
 
@@ -164,24 +165,38 @@ def writers(folder: Path) -> list[Writer]:
 # ---- one run -------------------------------------------------------------------------------------------------------
 def child(write: Callable[[], None], limit: int | None = None) -> int:
     """The process id of a copy of this process that writes and ends with 0, 2 for one of our errors, 3 for any other."""
+    # A signal before the copy can handle it would end the copy as if it were this process, with its temporary folders.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     process = os.fork()
     if process:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
         return process
-    status = 3
+    status = 130
+    try:
+        try:
+            status = _written(write, limit)
+        finally:
+            os._exit(status)
+    finally:  # a signal between the two
+        os._exit(status)
+
+
+def _written(write: Callable[[], None], limit: int | None) -> int:
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         if limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
         with orderly_end():
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
             write()
-        status = 0
+        return 0
     except AdaptiveFaceError:
-        status = 2
+        return 2
     except KeyboardInterrupt:
-        status = 130
-    finally:
-        os._exit(status)
+        return 130
+    except BaseException:
+        return 3
 
 
 def ended(process: int) -> int:

@@ -1,7 +1,7 @@
 """Looking at a panel changes nothing: every panel of every notebook is opened in a real browser, and nothing is touched.
 
 JupyterLab's sliders answer to being shown: they send what they round. Every value that the browser sends is noted in
-the kernel, and every parameter is compared with its default.
+the kernel, and every parameter is compared with its default, which is that of live tracking in the live view.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def noting(self, state):
                 for name, value in before.items() if getattr(self, name) != value)
 Widget.set_state = noting
 """
-#: Every panel's parameters, and those of what it steers, against the defaults.
+#: Every panel's parameters, and those of what it steers, against those at the start.
 COMPARE = """
 import gc
 from dataclasses import asdict
@@ -47,9 +47,10 @@ from adaptiveface.parameters import Parameters
 from adaptiveface.views import LiveView, ParameterPanel, StageExplorer
 found = [thing for thing in gc.get_objects() if type(thing) in (LiveView, ParameterPanel, StageExplorer)]
 held = [t.run.session.parameters if isinstance(t, LiveView) else t.parameters for t in found]
+start = asdict(Parameters.live() if any(isinstance(t, LiveView) for t in found) else Parameters())
 def differences(one):
     return [f"{stage}.{name} = {value!r}" for stage, values in asdict(one).items() for name, value in values.items()
-            if repr(value) != repr(asdict(Parameters())[stage][name])]
+            if repr(value) != repr(start[stage][name])]
 print(json.dumps({"panels": sum(isinstance(t, ParameterPanel) for t in found), "sent": sent,
                   "changed": [difference for one in held for difference in differences(one)]}))
 """
