@@ -123,6 +123,7 @@ def renamed(cls: AnyClass) -> AnyClass:
 
 def _reader(owner: str, old: str, new: str) -> Callable[[Any], Any]:
     def read(self: Any) -> Any:
+        """Return the attribute under its name of today, with a warning."""
         warn(f"{owner}.{old}", new)
         return getattr(self, new)
 
@@ -135,6 +136,7 @@ def old_objects(module: str) -> Callable[[str], Any]:
     names: Mapping[str, tuple[str, str]] = OLD_OBJECTS[module]
 
     def find(name: str) -> Any:
+        """Return the object that was called ``name``, with a warning; raises AttributeError for an unknown name."""
         if name not in names:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         home, new = names[name]

@@ -233,6 +233,25 @@ def test_blendshape_fit_recovers_known_coefficients(actor, joint):
         np.testing.assert_array_equal(found_pose, pose)
 
 
+def test_the_rounds_of_the_fit_end_when_one_moves_the_face_little(actor, monkeypatch):
+    """From the last frame's solution; far from it, all rounds are needed. ``min_step`` 0, as in the paper, takes all."""
+    truth, pose = coefficients(actor, jawOpen=0.4, mouthSmileLeft=0.6), head_pose((0.0, 0.1, 0.0))
+    surface = whole_surface(frame := render_frame(actor, posed_shape(actor, truth), pose), smoothing=0.3)
+    solve, rounds, shapes = BlendshapeFit.solve, [], {}
+    monkeypatch.setattr(BlendshapeFit, "solve", lambda *given: rounds.append(given) or solve(*given))
+    for min_step in (BlendshapeParameters().min_step, 0.0):
+        fit = BlendshapeFit(actor, BlendshapeParameters(ridge=0.0, temporal=0.0, iterations=20, min_step=min_step))
+        normals, x, taken = vertex_normals(actor.neutral, actor.triangles)[fit.depth_vertices], np.zeros(23), []
+        for _ in range(2):
+            rounds.clear()
+            pose, x = fit.fit(surface, frame.features, CAMERA, pose, x, normals)
+            taken.append(len(rounds))
+        shapes[min_step] = transform_points(pose, fit.shape(x))[actor.frontal]
+        assert taken == [20, 20] if min_step == 0.0 else 1 == taken[1] < taken[0] < 20
+    first, second = shapes.values()
+    assert np.sqrt(((first - second) ** 2).sum(axis=1).mean()) < 0.2  # mm
+
+
 @pytest.mark.parametrize("lag", [0.9, 0.5, 0.0])
 def test_the_pose_is_solved_for_the_coefficients_that_the_filter_leaves(actor, lag):
     """A filter that lags takes away a part of the expression; the pose is the best one for what is left."""

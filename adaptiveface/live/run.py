@@ -227,6 +227,7 @@ class LiveRun(Closing):
     # ---- the worker's thread, which ends where the session begins --------------------------------------------------
     def _start(self, work: Callable[[], None]) -> None:
         def body() -> None:
+            """Do the work; to be cancelled is no error."""
             with suppress(Cancelled):
                 work()
 

@@ -1,1 +1,1 @@
-"""Set how the process behaves: threads of linear algebra, Ctrl-C, and the times of frames."""
+"""Set how the process behaves: threads of BLAS and OpenCV, Ctrl-C, and the times of frames."""

@@ -22,8 +22,9 @@ _users, _opencv = 0, 1
 def one_thread() -> Iterator[None]:
     """Run BLAS and OpenCV on one thread inside this context.
 
-    On shared cores, a second BLAS thread stalls small solves for up to 100 ms. A second one of OpenCV takes 1.9 ms of processor
-    time from each frame with pictures, which are cut out around the face, and makes none of them faster (10.1 ms both).
+    On shared cores, a second BLAS thread stalls small solves for up to 100 ms. A second OpenCV thread adds 1.9 ms of processor
+    time to each frame with pictures and makes none of them faster (10.1 ms with one thread, 10.2 with two): the parts of the
+    pictures that are looked at are small.
 
     The limit holds for the whole process. Contexts may overlap in any order and in any threads. The first one sets the limit,
     each one extends it to the BLAS libraries that were loaded since, and the last one to end restores the state from before.

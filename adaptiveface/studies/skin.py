@@ -128,6 +128,7 @@ def aperture(shown: SkinFrame) -> str:
     """Say how many samples, and how many patches of samples, know only one direction."""
 
     def single(information: np.ndarray) -> float:
+        """The share of the more telling half that knows a single direction, from information (Q, 2, 2), 1/px^2."""
         low, high = np.linalg.eigvalsh(information).T
         return float(np.mean(low[high > np.median(high)] < 0.1 * high[high > np.median(high)]))
 

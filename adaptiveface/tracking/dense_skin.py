@@ -167,6 +167,7 @@ class DenseSkin:
             return None
 
         def rows(placed: np.ndarray, seen: Seen, displacement: np.ndarray) -> SurfaceTerm:
+            """The rows about a displacement (n, 3), which puts the vertices at ``placed`` (n, 3), camera frame, mm."""
             residuals = seen.values - expected
             weights = row_weights(residuals, seen.counts, self._variances, self._shares, believed)
             turn = np.ascontiguousarray(pose[:3, :3])
@@ -174,6 +175,7 @@ class DenseSkin:
             return SurfaceTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
 
         def again(displacement: np.ndarray) -> SurfaceTerm:
+            """``Looks.again``: the rows about another displacement (n, 3), mm, by the same light."""
             placed = transform_points(pose, vertices + displacement)
             return rows(placed, self._see(picture, placed, measured), displacement)
 
@@ -195,6 +197,7 @@ class DenseSkin:
         weights = np.minimum(then.counts, now.counts[some])[:, None] * self._shares[some] * believed
 
         def misfit(values: np.ndarray) -> float:
+            """The weighted sum of squared residuals of ``values`` (q, 3), in units of their variances."""
             squares = (values - expected[some]) ** 2 / self._fitting[some]
             return float(np.vdot(weights, np.minimum(squares, _OUTLIER)))
 

@@ -195,6 +195,7 @@ class LaplacianDeformation:
         first = [] if self.slow is None else [self.slow.solve]
 
         def precondition(residual: np.ndarray) -> np.ndarray:
+            """The search direction (n, 3) for a residual (n, 3), by A0 and the features' rows."""
             return self._precondition(residual, correction)
 
         at_points = [self._at_points(term), skin] if skin is not None else [self._at_points(term)]
