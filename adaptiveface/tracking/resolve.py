@@ -107,8 +107,8 @@ def sparsity_penalty(gram: np.ndarray, sparsity: float, vertices: int) -> np.nda
     """Half the weights (A,) of sum_k w_k |x_k| in the re-solve of section 6, from gram (A, A) = B^T B over ``vertices``.
 
     v4 contains more than the blendshapes can express, and a plain bounded fit spreads the rest over many small coefficients.
-    Its result is no closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use few
-    expressions at a time. Therefore an expression is only used if it explains at least ``sparsity`` mm (root of the summed
+    Its result is hardly closer to known coefficients than the initial fit (``data_synth/evaluate_retargeting.py``). Faces use
+    few expressions at a time. Therefore an expression is only used if it explains at least ``sparsity`` mm (root of the summed
     squares over the face). This is a lasso (Tibshirani 1996) within bounds that weighs every expression by its size |b_k|.
     """
     return np.asarray(sparsity * np.sqrt(vertices / SPARSITY_VERTICES) * np.sqrt(np.diag(gram)))
