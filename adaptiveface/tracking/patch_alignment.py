@@ -71,7 +71,7 @@ def align_patches(
     for _ in range(rounds):
         right = (precision @ (detected - shift)).ravel()
         for i in range(n):
-            for j in range(n):
+            for j in range(first[2 * i] // 2, i + 1):  # the lower triangle is enough
                 for k in range(2):
                     whole[2 * i + k, 2 * j + k] = precision[i, j]
                     whole[2 * i + k, 2 * j + 1 - k] = 0.0
@@ -113,9 +113,10 @@ def _normal_equations(
     A channel's scale is its weighted mean square residual in the patch, at least ``floor``. Only the brightness has a gain
     and an offset.
     """
-    height, width = images[0].shape[:2]
-    h, g = np.zeros((4, 4)), np.zeros(4)
-    values, scale, total = np.empty((len(pixels), 3, 3)), np.zeros(3), 0.0
+    picture, along_u, along_v = images
+    height, width = picture.shape[:2]
+    values, total = np.empty((len(pixels), 3, 3)), 0.0
+    scale0, scale1, scale2 = 0.0, 0.0, 0.0
     for q in range(len(pixels)):
         if weights[q] == 0.0:
             continue
@@ -123,47 +124,53 @@ def _normal_equations(
         y = min(max(pixels[q, 1] + shift[1], 0.0), height - 1.001)
         i, j = np.uint32(y), np.uint32(x)  # unsigned: numba tests each signed index for being negative
         b, a = np.float32(y - i), np.float32(x - j)
-        for k in range(3):
-            image = images[k]
-            for c in range(3):
-                above = image[i, j, c] + a * (image[i, j + _ONE, c] - image[i, j, c])
-                below = image[i + _ONE, j, c] + a * (image[i + _ONE, j + _ONE, c] - image[i + _ONE, j, c])
-                values[q, k, c] = above + b * (below - above)
+        for c in range(3):
+            values[q, 0, c] = _bilinear(picture, i, j, b, a, c)
+            values[q, 1, c] = _bilinear(along_u, i, j, b, a, c)
+            values[q, 2, c] = _bilinear(along_v, i, j, b, a, c)
         values[q, 0, 0] -= light[0] * colours[q, 0] + light[1]
         values[q, 0, 1] -= colours[q, 1]
         values[q, 0, 2] -= colours[q, 2]
-        for c in range(3):
-            scale[c] += weights[q] * values[q, 0, c] ** 2
+        scale0 += weights[q] * values[q, 0, 0] ** 2
+        scale1 += weights[q] * values[q, 0, 1] ** 2
+        scale2 += weights[q] * values[q, 0, 2] ** 2
         total += weights[q]
     if total == 0.0:
-        return h, g
-    scale = np.maximum(scale / total, floor)
+        return np.zeros((4, 4)), np.zeros(4)
+    scale = max(scale0 / total, floor), max(scale1 / total, floor), max(scale2 / total, floor)
+    # Sums in arrays would be written to memory and read again for every sample.
+    uu, uv, vv, u_gain, v_gain, u_offset, v_offset = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    gains, both, offsets, gu, gv, g_gain, g_offset = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for q in range(len(pixels)):
         if weights[q] == 0.0:
             continue
         for c in range(3):
             residual, du, dv = values[q, 0, c], values[q, 1, c], values[q, 2, c]
             weight = weights[q] / (scale[c] + 0.25 * residual**2)
-            h[0, 0] += weight * du * du
-            h[0, 1] += weight * du * dv
-            h[1, 1] += weight * dv * dv
-            g[0] -= weight * du * residual
-            g[1] -= weight * dv * residual
+            along, across = weight * du, weight * dv
+            uu, uv, vv = uu + along * du, uv + along * dv, vv + across * dv
+            gu, gv = gu - along * residual, gv - across * residual
             if c == 0:
                 colour = colours[q, 0]
-                h[0, 2] -= weight * du * colour
-                h[1, 2] -= weight * dv * colour
-                h[0, 3] -= weight * du
-                h[1, 3] -= weight * dv
-                h[2, 2] += weight * colour * colour
-                h[2, 3] += weight * colour
-                h[3, 3] += weight
-                g[2] += weight * colour * residual
-                g[3] += weight * residual
-    for k in range(4):
-        for m in range(k):
-            h[k, m] = h[m, k]
+                u_gain, v_gain = u_gain - along * colour, v_gain - across * colour
+                u_offset, v_offset = u_offset - along, v_offset - across
+                gains, both, offsets = gains + weight * colour * colour, both + weight * colour, offsets + weight
+                g_gain, g_offset = g_gain + weight * colour * residual, g_offset + weight * residual
+    h, g = np.empty((4, 4)), np.empty(4)
+    h[0, 0], h[0, 1], h[0, 2], h[0, 3], g[0] = uu, uv, u_gain, u_offset, gu
+    h[1, 0], h[1, 1], h[1, 2], h[1, 3], g[1] = uv, vv, v_gain, v_offset, gv
+    h[2, 0], h[2, 1], h[2, 2], h[2, 3], g[2] = u_gain, v_gain, gains, both, g_gain
+    h[3, 0], h[3, 1], h[3, 2], h[3, 3], g[3] = u_offset, v_offset, both, offsets, g_offset
     return h, g
+
+
+@compiled(inline="always")
+def _bilinear(image: np.ndarray, i: np.uint32, j: np.uint32, b: np.float32, a: np.float32, c: int) -> float:
+    """Channel c of an image (H, W, 3) at row i + b and column j + a."""
+    above = image[i, j, c] + a * (image[i, j + _ONE, c] - image[i, j, c])
+    below = image[i + _ONE, j, c] + a * (image[i + _ONE, j + _ONE, c] - image[i + _ONE, j, c])
+    value: float = above + b * (below - above)
+    return value
 
 
 @compiled(nogil=True)
