@@ -9,7 +9,8 @@ from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, re
 from scipy.optimize import lsq_linear, minimize
 from scipy.sparse.linalg import spsolve
 
-from adaptiveface.geometry.mesh import cotangent_laplacian, transform_points, vertex_normals
+from adaptiveface.geometry.frame import Features2D
+from adaptiveface.geometry.mesh import cotangent_laplacian, surface_points, transform_points, vertex_normals
 from adaptiveface.parameters import BlendshapeParameters, DepthParameters, KalmanParameters, RigidParameters
 from adaptiveface.registration.association import Correspondences, find_correspondences
 from adaptiveface.registration.icp import icp, last
@@ -374,14 +375,35 @@ def laplacian_case(actor, seed=7):
     matches = Correspondences(rng.normal(size=n), normals, rng.uniform(size=n) * (rng.uniform(size=n) > 0.2))
     pose = head_pose((0.0, 0.1, 0.0))
     frame = render_frame(actor, actor.neutral, pose, pixel_noise=2.0)
-    points = np.einsum("fk,fkd->fd", actor.feature_weights, actor.neutral[actor.feature_triangles])
-    rows = feature_rows(frame.features, CAMERA, pose)
-    return matches, normals, rows, points, pose
+    return matches, normals, pose, frame.features
+
+
+def features_of(actor, features, pose, weight, hold_depth):
+    rig = actor.neutral, actor.feature_triangles, actor.feature_weights
+    return feature_term(features, CAMERA, pose, *rig, weight, hold_depth)
+
+
+@pytest.mark.parametrize("hold_depth", [False, True])
+def test_feature_term_is_equation_2_divided_by_the_focal_length(actor, hold_depth):
+    _, _, pose, features = laplacian_case(actor)
+    features.pixels[3], features.confidence[7], features.confidence[9] = np.nan, 0.0, 0.4
+    term = features_of(actor, Features2D(features.pixels, features.confidence), pose, 0.09, hold_depth)
+    rows = feature_rows(Features2D(features.pixels, features.confidence), CAMERA, pose)
+    points = surface_points(actor.neutral, actor.feature_triangles, actor.feature_weights)[rows.index]
+    np.testing.assert_array_equal(term.index, rows.index)
+    np.testing.assert_allclose(term.rows[:, :2], rows.rows / CAMERA.fx, atol=1e-14)
+    value = np.einsum("fij,fj->fi", rows.rows, points) + rows.offsets
+    np.testing.assert_allclose(term.targets[:, :2], -value / CAMERA.fx, atol=1e-11)
+    np.testing.assert_allclose(term.weights, np.repeat(0.09 * rows.weights[:, None], 2 + hold_depth, axis=1))
+    if hold_depth:
+        np.testing.assert_allclose(term.rows[:, 2], np.broadcast_to(pose[2, :3], (len(term.index), 3)))
+        np.testing.assert_array_equal(term.targets[:, 2], 0.0)
+    assert features_of(actor, None, pose, 0.09, hold_depth).rows.shape == (0, 2 + hold_depth, 3)
 
 
 def test_laplacian_deformation_converges_to_the_coupled_solution(actor):
-    matches, normals, rows, points, pose = laplacian_case(actor)
-    term = feature_term(rows, points, pose, CAMERA.fx, 0.09, hold_depth=False)
+    matches, normals, pose, features = laplacian_case(actor)
+    term = features_of(actor, features, pose, 0.09, hold_depth=False)
     solver = LaplacianDeformation(*rig(actor), w1=0.1, w2=5.0)
     expected = dense_reference(actor, 0.1, 5.0, matches, normals, term)
     got = solver.deform(matches, normals, term, np.zeros_like(normals), steps=60)
@@ -391,8 +413,8 @@ def test_laplacian_deformation_converges_to_the_coupled_solution(actor):
 
 
 def test_final_deformation_is_exact_in_one_step(actor):
-    _, normals, rows, points, pose = laplacian_case(actor)
-    term = feature_term(rows, points, pose, CAMERA.fx, 0.05, hold_depth=True)
+    _, normals, pose, features = laplacian_case(actor)
+    term = features_of(actor, features, pose, 0.05, hold_depth=True)
     n = len(normals)
     nothing = Correspondences(np.zeros(n), normals, np.zeros(n))
     expected = dense_reference(actor, 0.0, 5.0, nothing, normals, term)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -74,10 +75,12 @@ class Features2D:
             return None
         return self.face.mesh[list(IRIS_CENTRES), :2]
 
-    @property
+    @cached_property
     def valid(self) -> np.ndarray:
-        """(40,) bool: seen, finite, with positive confidence."""
-        return np.isfinite(self.pixels).all(axis=1) & (self.confidence > 0)
+        """(40,) bool: seen, finite, with positive confidence. Found out once, as a frame is asked a dozen times."""
+        seen: np.ndarray = np.isfinite(self.pixels).all(axis=1) & (self.confidence > 0)
+        seen.setflags(write=False)
+        return seen
 
     @property
     def bounding_box(self) -> np.ndarray:

@@ -86,7 +86,9 @@ class FeatureSet:
         0 to 1.
         """
         yaw, pitch = np.radians(np.clip([yaw_of(pose), pitch_of(pose)], -LARGEST, LARGEST))
-        excess = np.cross([NOD * pitch, TURN * yaw, 0.0], points - MIDDLE)
+        x, y = NOD * pitch, TURN * yaw
+        turned = np.array([[0.0, 0.0, -y], [0.0, 0.0, x], [y, -x, 0.0]])  # p @ turned = (x, y, 0) x p
+        excess = (points - MIDDLE) @ turned
         moved = (self.offset + opening * self.opened + excess) @ pose[:3, :3].T
         ray = pose[:2, 3] / pose[2, 3]
         return (moved[:, :2] - ray * moved[:, 2:]) * [camera.fx, camera.fy] / pose[2, 3]

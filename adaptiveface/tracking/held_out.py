@@ -30,7 +30,8 @@ class HeldOut:
         self._expressions = actor.expression_names
         if landmarks is not None and held is not None:
             self.regions = tuple(dict.fromkeys(str(region) for region in held.regions))
-            self._members = [np.flatnonzero(held.regions == region) for region in self.regions]
+            members = np.array([held.regions == region for region in self.regions])
+            self._means = members / members.sum(axis=1, keepdims=True)
             points = dict(zip(landmarks.ids.tolist(), landmarks.points(actor.neutral), strict=True))
             right, left = (np.mean([points[number] for number in eye], axis=0) for eye in EYES)
             self._eyes = float(np.linalg.norm(left - right))
@@ -66,7 +67,8 @@ class HeldOut:
         points = transform_points(pose, places)
         off = face.mesh[landmarks.ids, :2] - slides - camera.project(points)
         error = np.linalg.norm(off / [camera.fx, camera.fy], axis=1) * points[:, 2] / self._eyes * 100.0
-        return np.array([error[members].mean() for members in self._members])
+        means: np.ndarray = self._means @ error
+        return means
 
 
 def describe(errors: np.ndarray, regions: tuple[str, ...]) -> str:

@@ -22,10 +22,12 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from ..caches.compiled import compiled
+from ..geometry.camera import Camera
+from ..geometry.frame import Features2D
 from ..geometry.mesh import cotangent_laplacian
 from ..model.actor import Actor
 from ..registration.association import Correspondences
-from .feature_rows import FeatureRows
 from .prefactored import LaplacianOperator, PrefactoredSystem
 from .slow_modes import SlowModes
 from .surface_term import SurfaceTerm
@@ -60,22 +62,64 @@ class FeatureTerm:
 
 
 def feature_term(
-    rows: FeatureRows, points: np.ndarray, pose: np.ndarray, focal: float, weight: float, hold_depth: bool
+    features: Features2D | None,
+    camera: Camera,
+    pose: np.ndarray,
+    mesh: np.ndarray,
+    corners: np.ndarray,
+    shares: np.ndarray,
+    weight: float,
+    hold_depth: bool,
 ) -> FeatureTerm:
     """Lateral rows of eq. (5) in millimetres, and a third that keeps the depth (weak projection) when ``hold_depth``.
 
-    points (f, 3) head frame: where the features are now. Eq. (2)'s rows are divided by the focal length, so that a
-    residual is the lateral distance in mm and ``weight`` is per mm^2.
+    The features' points lie between ``corners`` (40, 3) of a mesh (N, 3), head frame, by ``shares`` (40, 3). The rows
+    (:func:`.feature_rows`) are divided by the focal length, so that a residual is the lateral distance in mm and ``weight``
+    is per mm^2.
     """
-    value = np.einsum("fij,fj->fi", rows.rows, points) + rows.offsets
-    lateral, target = rows.rows / focal, -value / focal
-    weights = np.repeat(weight * rows.weights[:, None], 2, axis=1)
-    if hold_depth:
-        along = np.broadcast_to(pose[2, :3], (len(lateral), 1, 3))
-        lateral = np.concatenate([lateral, along], axis=1)
-        target = np.column_stack([target, np.zeros(len(target))])
-        weights = np.column_stack([weights, weights[:, 0]])
-    return FeatureTerm(rows.index, lateral, target, weights)
+    count = 3 if hold_depth else 2
+    if features is None:
+        return FeatureTerm(np.zeros(0, int), np.zeros((0, count, 3)), np.zeros((0, count)), np.zeros((0, count)))
+    index, confidence = np.flatnonzero(features.valid), features.confidence.astype(float, copy=False)
+    lens = camera.fx, camera.fy, camera.cx, camera.cy
+    rows, targets, weights = _lateral_rows(index, features.pixels, confidence, lens, pose, mesh, corners, shares, count)
+    return FeatureTerm(index, rows, targets, weight * weights)
+
+
+@compiled(nogil=True)
+def _lateral_rows(
+    index: np.ndarray,
+    pixels: np.ndarray,
+    confidence: np.ndarray,
+    lens: tuple[float, float, float, float],
+    pose: np.ndarray,
+    mesh: np.ndarray,
+    corners: np.ndarray,
+    shares: np.ndarray,
+    count: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (f, r, 3), targets (f, r) and confidences (f, r) of :func:`feature_term`: some 30 calls of NumPy in one."""
+    fx, fy, cx, cy = lens
+    rows, targets, weights = np.empty((len(index), count, 3)), np.zeros((len(index), count)), np.empty((len(index), count))
+    point = np.empty(3)
+    for n in range(len(index)):
+        f = index[n]
+        for d in range(3):
+            point[d] = 0.0
+            for k in range(3):
+                point[d] += shares[f, k] * mesh[corners[f, k], d]
+        for r in range(count):
+            # (1, 0, (cx - u) / fx), (0, fy / fx, (cy - v) / fx), (0, 0, 1) in the camera frame
+            x = 1.0 if r == 0 else 0.0
+            y = fy / fx if r == 1 else 0.0
+            z = 1.0 if r == 2 else ((cx - pixels[f, 0]) / fx if r == 0 else (cy - pixels[f, 1]) / fx)
+            for d in range(3):
+                rows[n, r, d] = x * pose[0, d] + y * pose[1, d] + z * pose[2, d]
+            if r < 2:
+                value = x * pose[0, 3] + y * pose[1, 3] + z * pose[2, 3]
+                targets[n, r] = -(value + rows[n, r, 0] * point[0] + rows[n, r, 1] * point[1] + rows[n, r, 2] * point[2])
+            weights[n, r] = confidence[f]
+    return rows, targets, weights
 
 
 class LaplacianDeformation:
@@ -141,12 +185,11 @@ class LaplacianDeformation:
 
     def _feature_correction(self, term: FeatureTerm) -> Correction:
         """The Woodbury system of the features' rows: (A0 + H^T W H)^-1 = A0^-1 - A0^-1 H^T (W^-1 + H A0^-1 H^T)^-1 H A0^-1."""
-        count = term.rows.shape[1]
-        index, rows = np.repeat(term.index, count), term.rows.reshape(-1, 3)
+        index, rows = term.index.repeat(term.rows.shape[1]), term.rows.reshape(-1, 3)
         if len(rows) == 0:
             return index, rows, None
-        matrix = self._compliance.take(index, axis=0).take(index, axis=1) * (rows @ rows.T)
-        matrix.flat[:: len(rows) + 1] += 1.0 / np.maximum(term.weights.ravel(), 1e-12)
+        matrix = rows @ rows.T
+        _add_compliance(matrix, self._compliance, index, term.weights.ravel())
         return index, rows, dpotrf(matrix, overwrite_a=1, clean=0)[0]
 
     def deform_to_features(self, term: FeatureTerm) -> np.ndarray:
@@ -157,9 +200,9 @@ class LaplacianDeformation:
         return self._spread(index, rows * dpotrs(factor, term.targets.ravel())[0][:, None])
 
     def _spread(self, index: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        at_features = np.zeros((self._response.shape[1], 3))
-        np.add.at(at_features, index, forces)
-        return self._response @ at_features.astype(np.float32)
+        """Response (n, 3) to the ``forces`` (m, 3) of rows at the features ``index`` (m,)."""
+        response: np.ndarray = self._response @ _at_features(index, forces, self._response.shape[1])
+        return response
 
     def deform_to_points(self, offsets: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """Exact minimum with equation (3), w1 |d - offsets|^2, in place of the depth term along the normals: (n, 3).
@@ -246,3 +289,25 @@ class LaplacianDeformation:
         at_rows = (rows * self._at_features(solved, index)).sum(axis=1)
         direction: np.ndarray = solved - self._spread(index, rows * dpotrs(factor, at_rows)[0][:, None])
         return direction
+
+
+@compiled(nogil=True)
+def _add_compliance(matrix: np.ndarray, compliance: np.ndarray, index: np.ndarray, weights: np.ndarray) -> None:
+    """Make products of rows (m, m) the Woodbury system of these rows, in place.
+
+    ``compliance`` (40, 40) between the features, ``index`` (m,) of the rows' features, and the rows' ``weights`` (m,).
+    """
+    for i in range(len(index)):
+        for j in range(len(index)):
+            matrix[i, j] *= compliance[index[i], index[j]]
+        matrix[i, i] += 1.0 / max(weights[i], 1e-12)
+
+
+@compiled(nogil=True)
+def _at_features(index: np.ndarray, forces: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, 3) of the rows' ``forces`` (m, 3) at each feature, in single precision."""
+    total = np.zeros((count, 3))
+    for i in range(len(index)):
+        for k in range(3):
+            total[index[i], k] += forces[i, k]
+    return total.astype(np.float32)

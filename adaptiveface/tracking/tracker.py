@@ -213,8 +213,8 @@ class FaceTracker(Tracker):
 
         def follow(refined: Features2D, mesh: np.ndarray) -> np.ndarray:
             """Deform the mesh (N, 3) to the features alone, which all have the same weight."""
-            certain = replace(frame, features=replace(refined, confidence=np.ones(len(refined.confidence))))
-            term = self._feature_term(certain, pose, mesh, FOLLOW_WEIGHT, hold_depth=True)
+            certain = Features2D(refined.pixels, np.ones(len(refined.confidence)))
+            term = self._feature_term(certain, frame.camera, pose, mesh, FOLLOW_WEIGHT, hold_depth=True)
             return self.region.displaced(mesh, self.final_deformation.deform_to_features(term))
 
         return replace(frame, features=self.refinement.refine(frame, self.state.v4, pose, follow))
@@ -243,7 +243,8 @@ class FaceTracker(Tracker):
             if looks is None:
                 return self._deform_to_depth(frame, pose, v1, matches), clock
             p, planes = self.parameters, matches.normals @ pose[:3, :3]
-            term = self._feature_term(frame, pose, v1, p.laplacian.feature_weight, hold_depth=False)
+            weight = p.laplacian.feature_weight
+            term = self._feature_term(frame.features, frame.camera, pose, v1, weight, hold_depth=False)
         d, colours = self.state.deformation, looks.first
         for left in range(p.skin.gauss_newton_steps - 1, -1, -1):
             with timed(ms, "laplacian"):  # before the last look, smooth motion is enough
@@ -271,7 +272,7 @@ class FaceTracker(Tracker):
         """Displacement (n, 3) of the frontal vertices of v1 towards depth and 2D features, mm."""
         p, start = self.parameters.laplacian, self.state.deformation
         if p.feature_rows == "soft":
-            term = self._feature_term(frame, pose, v1, p.feature_weight, hold_depth=False)
+            term = self._feature_term(frame.features, frame.camera, pose, v1, p.feature_weight, hold_depth=False)
         else:
             rise = offsets_at_features(matches, pose, self.deformation.corners, self.deformation.shares) @ pose[2, :3]
             term = self._printed_term(frame, pose, v1, rise)
