@@ -3,7 +3,8 @@
 Most of a solve's time is spent waiting for the factor. It is read twice in every frame, and other stages push it out of the
 processor's nearer caches meanwhile. The forward pass eliminates up to four neighbouring columns with the same rows below them
 (a part of a supernode) at once, with their values side by side and their row numbers stored once. For the backward pass, the
-columns are in the order of the substitution. Every sum is still taken column by column, so that no result changes.
+columns are in the order of the substitution. A vertex's three coordinates and a zero are one vector of the processor. Every sum
+is still taken column by column, so that no result changes.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..caches.compiled import compiled
+from .lanes import LANES, less, put, row
 
 
 @dataclass(frozen=True)
@@ -153,8 +155,8 @@ def _pack_backward(starts: np.ndarray, rows: np.ndarray, values: np.ndarray) -> 
 
 @compiled
 def _permuted(right: np.ndarray, order: np.ndarray, zero: float | np.float32) -> np.ndarray:
-    """P b, (n, 3), in the precision of ``zero``."""
-    y = np.full(right.shape, zero)
+    """P b, (n, 3) and a column of zeros, in the precision of ``zero``."""
+    y = np.full((len(right), LANES), zero)
     for i in range(len(order)):
         for k in range(3):
             y[order[i], k] = right[i, k]
@@ -163,8 +165,8 @@ def _permuted(right: np.ndarray, order: np.ndarray, zero: float | np.float32) ->
 
 @compiled
 def _permuted_back(y: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """P^T y, (n, 3), in double precision."""
-    out = np.empty(y.shape)
+    """P^T y, (n, 3), in double precision, of y (n, 4)."""
+    out = np.empty((len(y), 3))
     for i in range(len(order)):
         for k in range(3):
             out[i, k] = y[order[i], k]
@@ -179,78 +181,46 @@ _1, _2, _3, _4 = (np.uint64(number) for number in (1, 2, 3, 4))
 def _forward(
     widths: np.ndarray, first_row: np.ndarray, first_value: np.ndarray, rows: np.ndarray, values: np.ndarray, y: np.ndarray
 ) -> None:
-    """G^-1 y in place; the three coordinates share one pass over the factor."""
+    """G^-1 y in place, y (n, 4); the coordinates share one pass over the factor."""
     j = np.uint64(0)
     for block in range(len(widths)):
         width, place = np.uint64(widths[block]), np.uint64(first_value[block])
         for p in range(j, j + width):  # the block's own triangle
             for q in range(p + _1, j + width):
-                for k in range(3):
-                    y[q, k] -= values[place] * y[p, k]
+                put(y, q, less(row(y, q), values[place], row(y, p)))
                 place += _1
         begin, end = np.uint64(first_row[block]), np.uint64(first_row[block + 1])
         if width == _4:
-            _eliminate_four(rows, begin, end, values, place, y, j)
-        elif width == _2:
-            _eliminate_two(rows, begin, end, values, place, y, j)
-        else:
-            a, b, c = y[j, 0], y[j, 1], y[j, 2]
+            a, b, c, d = row(y, j), row(y, j + _1), row(y, j + _2), row(y, j + _3)
             for k in range(begin, end):
-                i, value = rows[k], values[place]
-                y[i, 0] -= value * a
-                y[i, 1] -= value * b
-                y[i, 2] -= value * c
+                left = less(less(row(y, rows[k]), values[place], a), values[place + _1], b)
+                put(y, rows[k], less(less(left, values[place + _2], c), values[place + _3], d))
+                place += _4
+        elif width == _2:
+            a, b = row(y, j), row(y, j + _1)
+            for k in range(begin, end):
+                put(y, rows[k], less(less(row(y, rows[k]), values[place], a), values[place + _1], b))
+                place += _2
+        else:
+            a = row(y, j)
+            for k in range(begin, end):
+                put(y, rows[k], less(row(y, rows[k]), values[place], a))
                 place += _1
         j += width
 
 
-@compiled(inline="always")
-def _eliminate_two(
-    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, j: np.uint64
-) -> None:
-    """Subtract columns j and j + 1 from the rows ``begin`` to ``end``."""
-    a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
-    a1, b1, c1 = y[j + _1, 0], y[j + _1, 1], y[j + _1, 2]
-    for k in range(begin, end):
-        i, v0, v1 = rows[k], values[place], values[place + _1]
-        y[i, 0] = y[i, 0] - v0 * a0 - v1 * a1
-        y[i, 1] = y[i, 1] - v0 * b0 - v1 * b1
-        y[i, 2] = y[i, 2] - v0 * c0 - v1 * c1
-        place += _2
-
-
-@compiled(inline="always")
-def _eliminate_four(
-    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, j: np.uint64
-) -> None:
-    """Subtract columns j to j + 3 from the rows ``begin`` to ``end``."""
-    a0, b0, c0 = y[j, 0], y[j, 1], y[j, 2]
-    a1, b1, c1 = y[j + _1, 0], y[j + _1, 1], y[j + _1, 2]
-    a2, b2, c2 = y[j + _2, 0], y[j + _2, 1], y[j + _2, 2]
-    a3, b3, c3 = y[j + _3, 0], y[j + _3, 1], y[j + _3, 2]
-    for k in range(begin, end):
-        i = rows[k]
-        v0, v1, v2, v3 = values[place], values[place + _1], values[place + _2], values[place + _3]
-        y[i, 0] = y[i, 0] - v0 * a0 - v1 * a1 - v2 * a2 - v3 * a3
-        y[i, 1] = y[i, 1] - v0 * b0 - v1 * b1 - v2 * b2 - v3 * b3
-        y[i, 2] = y[i, 2] - v0 * c0 - v1 * c1 - v2 * c2 - v3 * c3
-        place += _4
-
-
 @compiled
 def _backward(starts: np.ndarray, rows: np.ndarray, values: np.ndarray, inverse_diagonal: np.ndarray, y: np.ndarray) -> None:
-    """G^-T D^-1 y in place."""
+    """G^-T D^-1 y in place, y (n, 4)."""
     n = len(inverse_diagonal)
     for number in range(n):
         j = n - 1 - number
-        scale = inverse_diagonal[j]
-        a, b, c = y[j, 0] * scale, y[j, 1] * scale, y[j, 2] * scale
+        for k in range(3):
+            y[j, k] *= inverse_diagonal[j]
+        left = row(y, j)
         for k in range(starts[number], starts[number + 1]):
-            i, value = rows[k], values[k]
-            a -= value * y[i, 0]
-            b -= value * y[i, 1]
-            c -= value * y[i, 2]
-        y[j, 0], y[j, 1], y[j, 2] = a, b, c
+            left = less(left, values[k], row(y, rows[k]))
+        put(y, j, left)
 
 
 @compiled
@@ -264,73 +234,39 @@ def _backward_blocks(
     y: np.ndarray,
 ) -> None:
     """G^-T D^-1 y in place from the forward pass's values: the columns of a block share one pass over the rows below it."""
-    j, below = np.uint64(len(inverse_diagonal)), np.zeros((4, 3), y.dtype)
+    j, zeros, below = np.uint64(len(inverse_diagonal)), np.zeros((1, LANES), y.dtype), np.zeros((4, LANES), y.dtype)
     for block in range(len(widths) - 1, -1, -1):
         width = np.uint64(widths[block])
         j -= width
         place = np.uint64(first_value[block]) + width * (width - _1) // _2
         begin, end = np.uint64(first_row[block]), np.uint64(first_row[block + 1])
-        below[:] = 0.0
+        a = row(zeros, 0)
+        b, c, d = a, a, a
         if width == _4:
-            _gather_four(rows, begin, end, values, place, y, below)
-        elif width == _2:
-            _gather_two(rows, begin, end, values, place, y, below)
-        else:
-            a, b, c = below[0]
             for k in range(begin, end):
-                i, value = rows[k], values[place]
-                a += value * y[i, 0]
-                b += value * y[i, 1]
-                c += value * y[i, 2]
+                known = row(y, rows[k])
+                a, b = less(a, values[place], known), less(b, values[place + _1], known)
+                c, d = less(c, values[place + _2], known), less(d, values[place + _3], known)
+                place += _4
+        elif width == _2:
+            for k in range(begin, end):
+                known = row(y, rows[k])
+                a, b = less(a, values[place], known), less(b, values[place + _1], known)
+                place += _2
+        else:
+            for k in range(begin, end):
+                a = less(a, values[place], row(y, rows[k]))
                 place += _1
-            below[0, 0], below[0, 1], below[0, 2] = a, b, c
+        put(below, 0, a)
+        put(below, 1, b)
+        put(below, 2, c)
+        put(below, 3, d)
         place = np.uint64(first_value[block]) + width * (width - _1) // _2
         for number in range(width):  # the block's own triangle, the last column first
             p = width - _1 - number
             place -= number
             for k in range(3):
-                value = y[j + p, k] * inverse_diagonal[j + p] - below[p, k]
+                value = y[j + p, k] * inverse_diagonal[j + p] + below[p, k]
                 for q in range(number):
                     value -= values[place + q] * y[j + p + _1 + q, k]
                 y[j + p, k] = value
-
-
-@compiled(inline="always")
-def _gather_two(
-    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, out: np.ndarray
-) -> None:
-    """Add the products of two neighbouring columns with y to ``out`` (4, 3)."""
-    a0, b0, c0 = out[0]
-    a1, b1, c1 = out[1]
-    for k in range(begin, end):
-        i, v0, v1 = rows[k], values[place], values[place + _1]
-        a, b, c = y[i, 0], y[i, 1], y[i, 2]
-        a0, b0, c0 = a0 + v0 * a, b0 + v0 * b, c0 + v0 * c
-        a1, b1, c1 = a1 + v1 * a, b1 + v1 * b, c1 + v1 * c
-        place += _2
-    out[0, 0], out[0, 1], out[0, 2] = a0, b0, c0
-    out[1, 0], out[1, 1], out[1, 2] = a1, b1, c1
-
-
-@compiled(inline="always")
-def _gather_four(
-    rows: np.ndarray, begin: np.uint64, end: np.uint64, values: np.ndarray, place: np.uint64, y: np.ndarray, out: np.ndarray
-) -> None:
-    """Add the products of four neighbouring columns with y to ``out`` (4, 3)."""
-    a0, b0, c0 = out[0]
-    a1, b1, c1 = out[1]
-    a2, b2, c2 = out[2]
-    a3, b3, c3 = out[3]
-    for k in range(begin, end):
-        i = rows[k]
-        v0, v1, v2, v3 = values[place], values[place + _1], values[place + _2], values[place + _3]
-        a, b, c = y[i, 0], y[i, 1], y[i, 2]
-        a0, b0, c0 = a0 + v0 * a, b0 + v0 * b, c0 + v0 * c
-        a1, b1, c1 = a1 + v1 * a, b1 + v1 * b, c1 + v1 * c
-        a2, b2, c2 = a2 + v2 * a, b2 + v2 * b, c2 + v2 * c
-        a3, b3, c3 = a3 + v3 * a, b3 + v3 * b, c3 + v3 * c
-        place += _4
-    out[0, 0], out[0, 1], out[0, 2] = a0, b0, c0
-    out[1, 0], out[1, 1], out[1, 2] = a1, b1, c1
-    out[2, 0], out[2, 1], out[2, 2] = a2, b2, c2
-    out[3, 0], out[3, 1], out[3, 2] = a3, b3, c3
