@@ -23,7 +23,7 @@ from adaptiveface.registration.association import Correspondences
 from adaptiveface.synthetic.look import Look
 from adaptiveface.synthetic.sensor import SyntheticSensor
 from adaptiveface.tracking import skin_light, skin_samples
-from adaptiveface.tracking.laplacian import FeatureTerm, LaplacianDeformation
+from adaptiveface.tracking.laplacian import FeatureTerm, FrameSystem, LaplacianDeformation
 from adaptiveface.tracking.slow_modes import slowest_modes
 from adaptiveface.tracking.surface_term import SurfaceTerm
 from adaptiveface.tracking.tracker import FaceTracker
@@ -254,6 +254,17 @@ def test_conjugate_gradients_reach_the_minimum_of_depth_and_colour():
     found = bounded.deform(matches, normals, none, np.zeros((n, 3)), 60, skin)
     np.testing.assert_allclose(found, exact, atol=1e-6 * np.abs(exact).max())
 
+    # Another look at the same rows goes on from where the first one led, and its rows may be linearised there.
+    system = FrameSystem(bounded, matches, normals, none)
+    first = system.deform(np.zeros((n, 3)), 2, skin)
+    motion = np.einsum("qk,qkd->qd", shares, first[corners])
+    again = SurfaceTerm(corners, shares, skin.matrices, pulls - np.einsum("qij,qj->qi", skin.matrices, motion), first)
+    np.testing.assert_allclose(again.pulls, pulls, atol=1e-12)
+    np.testing.assert_allclose(
+        system.deform(first, 2, again), bounded.deform(matches, normals, none, first, 2, skin), atol=1e-12
+    )
+    np.testing.assert_allclose(system.deform(first, 60, again), exact, atol=1e-6 * np.abs(exact).max())
+
 
 def test_slow_modes_are_the_first_eigenvectors():
     rng = np.random.default_rng(2)
@@ -266,16 +277,16 @@ def test_slow_modes_are_the_first_eigenvectors():
 
 def test_a_step_in_the_slow_modes_saves_iterations(actor, frames, monkeypatch):
     """On average over the looks at six frames, it and one iteration come nearer to the solution than two without it."""
-    calls, deform = [], LaplacianDeformation.deform
-    monkeypatch.setattr(LaplacianDeformation, "deform", lambda *args: calls.append(args) or deform(*args))
+    calls, deform = [], FrameSystem.deform
+    monkeypatch.setattr(FrameSystem, "deform", lambda *args: calls.append(args) or deform(*args))
     v2_of(actor, frames[:6], ON)
     left = []
-    for deformation, *matched, start, _, skin in calls:
-        exact, slow = deform(deformation, *matched, start, 60, skin), deformation.slow
-        with_modes = deform(deformation, *matched, start, 1, skin)
-        deformation.slow = None
-        without = deform(deformation, *matched, start, 2, skin)
-        deformation.slow = slow
+    for system, start, _, skin in calls:
+        exact, slow = deform(system, start, 60, skin), system.deformation.slow
+        with_modes = deform(system, start, 1, skin)
+        system.deformation.slow = None
+        without = deform(system, start, 2, skin)
+        system.deformation.slow = slow
         left.append([np.linalg.norm(d - exact) / np.linalg.norm(start - exact) for d in (with_modes, without)])
     assert len(left) == 12
     assert np.mean(left, axis=0)[0] < 0.95 * np.mean(left, axis=0)[1] < 0.7

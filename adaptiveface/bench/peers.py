@@ -99,9 +99,9 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
         fit, solve, add_rows = fitted.noting(BlendshapeFit.fit), solved.noting(BlendshapeFit.solve), note_rows
 
     class Deformation(LaplacianDeformation):
-        def _precondition(self, right, correction):
+        def precondition(self, right, correction):
             note_right(self, right)
-            return super()._precondition(right, correction)
+            return super().precondition(right, correction)
 
     class Model(AdaptiveModel):
         parts = learned.noting(AdaptiveModel.parts)

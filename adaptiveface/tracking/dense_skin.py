@@ -172,7 +172,7 @@ class DenseSkin:
             weights = row_weights(residuals, seen.counts, self._variances, self._shares, believed)
             turn = np.ascontiguousarray(pose[:3, :3])
             matrices, forces = normal_equations(residuals, weights, self._skin.slopes, placed, self._corners, turn)
-            return SurfaceTerm.about(self._corners, self._skin.weights, matrices, forces, displacement)
+            return SurfaceTerm(self._corners, self._skin.weights, matrices, forces, displacement)
 
         def again(displacement: np.ndarray) -> SurfaceTerm:
             """``Looks.again``: the rows about another displacement (n, 3), mm, by the same light."""

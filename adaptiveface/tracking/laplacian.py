@@ -183,7 +183,7 @@ class LaplacianDeformation:
         values: np.ndarray = np.einsum("fk,fkd->fd", self.shares[index], field[self.corners[index]])
         return values
 
-    def _feature_correction(self, term: FeatureTerm) -> Correction:
+    def feature_correction(self, term: FeatureTerm) -> Correction:
         """The Woodbury system of the features' rows: (A0 + H^T W H)^-1 = A0^-1 - A0^-1 H^T (W^-1 + H A0^-1 H^T)^-1 H A0^-1."""
         index, rows = term.index.repeat(term.rows.shape[1]), term.rows.reshape(-1, 3)
         if len(rows) == 0:
@@ -194,7 +194,7 @@ class LaplacianDeformation:
 
     def deform_to_features(self, term: FeatureTerm) -> np.ndarray:
         """Exact minimum with w1 = 0: (n, 3); needs no sparse solve at all, only the features' responses."""
-        index, rows, factor = self._feature_correction(term)
+        index, rows, factor = self.feature_correction(term)
         if len(rows) == 0:
             return np.zeros((len(self._response), 3))
         return self._spread(index, rows * dpotrs(factor, term.targets.ravel())[0][:, None])
@@ -210,7 +210,7 @@ class LaplacianDeformation:
         ``offsets`` (n, 3) head frame, mm: p_i - v_i. Its matrix is A0, which is factorised: one direct solve.
         """
         without = self.system.solve(self.w1 * offsets)
-        index, rows, factor = self._feature_correction(term)
+        index, rows, factor = self.feature_correction(term)
         if len(rows) == 0:
             return without
         missing = term.targets.ravel() - (rows * self._at_features(without, index)).sum(axis=1)
@@ -226,60 +226,21 @@ class LaplacianDeformation:
         steps: int,
         skin: SurfaceTerm | None = None,
     ) -> np.ndarray:
-        """Displacement (n, 3) towards depth and features by ``steps`` preconditioned conjugate-gradient steps.
-
-        Where there are slow modes, a step in their span comes first.
-
-        ``matches`` of the n frontal vertices (weight 0: none) with ``normals`` (n, 3) in the head frame; ``start`` (n, 3);
-        ``skin``: the colours' rows, for a deformation that is ``bounded`` for them.
-        """
-        strength = self.w1 * matches.weights
-        correction = self._feature_correction(term) if self.slow is None and steps else None
-        first = [] if self.slow is None else [self.slow.solve]
-
-        def precondition(residual: np.ndarray) -> np.ndarray:
-            """The search direction (n, 3) for a residual (n, 3), by A0 and the features' rows."""
-            return self._precondition(residual, correction)
-
-        at_points = [self._at_points(term), skin] if skin is not None else [self._at_points(term)]
-
-        def apply(displacement: np.ndarray) -> np.ndarray:
-            """The true system's matrix times a displacement (n, 3)."""
-            image = self.system.apply(displacement, strength, normals)
-            for rows in at_points:
-                rows.add_image(image, displacement)
-            return image
-
-        displacement = start.copy()
-        residual = self.right_hand_side(matches, normals, term) - apply(displacement)
-        if skin is not None:
-            skin.add_pulls(residual)
-        earlier: list[tuple[np.ndarray, np.ndarray, float]] = []  # directions, their images and their stiffness
-        for solve in [*first, *[precondition] * steps]:
-            direction = solve(residual)
-            for other, image, stiffness in earlier:
-                direction -= (float(np.vdot(direction, image)) / stiffness) * other
-            slope = float(np.vdot(residual, direction))
-            if slope <= 0.0:
-                break
-            image = apply(direction)
-            stiffness = float(np.vdot(direction, image))
-            displacement += (slope / stiffness) * direction
-            residual -= (slope / stiffness) * image
-            earlier.append((direction, image, stiffness))
-        return displacement
+        """Displacement (n, 3) towards depth and features by ``steps`` steps from ``start`` (n, 3): :class:`FrameSystem`."""
+        return FrameSystem(self, matches, normals, term).deform(start, steps, skin)
 
     def right_hand_side(self, matches: Correspondences, normals: np.ndarray, term: FeatureTerm) -> np.ndarray:
         """b (n, 3) of the normal equations A d = b: depth pulls along ``normals`` (n, 3), features pull at their corners."""
         right: np.ndarray = -(self.w1 * matches.weights * matches.distances)[:, None] * normals
-        self._at_points(term).add_pulls(right)
+        self.at_points(term).add_pulls(right)
         return right
 
-    def _at_points(self, term: FeatureTerm) -> SurfaceTerm:
+    def at_points(self, term: FeatureTerm) -> SurfaceTerm:
         """The features' rows, summed up at each feature's point."""
         return SurfaceTerm(self.corners[term.index], self.shares[term.index], term.matrices, term.pulls)
 
-    def _precondition(self, right: np.ndarray, correction: Correction | None) -> np.ndarray:
+    def precondition(self, right: np.ndarray, correction: Correction | None) -> np.ndarray:
+        """The search direction (n, 3) for a residual (n, 3), by A0 and the features' rows."""
         solved = self.system.precondition(right)
         if correction is None:
             return solved
@@ -289,6 +250,76 @@ class LaplacianDeformation:
         at_rows = (rows * self._at_features(solved, index)).sum(axis=1)
         direction: np.ndarray = solved - self._spread(index, rows * dpotrs(factor, at_rows)[0][:, None])
         return direction
+
+
+class FrameSystem:
+    """A d = b of one frame: smoothing, depth and features. Rows of colours join them, other ones at every look.
+
+    Parameters
+    ----------
+    deformation : LaplacianDeformation
+        Its energies and its constant matrix; ``bounded`` for colours where there are any.
+    matches : Correspondences
+        Of the n frontal vertices (weight 0: none).
+    normals : (n, 3)
+        Their normals in the head frame.
+    term : FeatureTerm
+        The features' rows.
+    """
+
+    def __init__(
+        self, deformation: LaplacianDeformation, matches: Correspondences, normals: np.ndarray, term: FeatureTerm
+    ) -> None:
+        self.deformation, self._normals, self._term = deformation, normals, term
+        self._strength, self._features = deformation.w1 * matches.weights, deformation.at_points(term)
+        self._right = deformation.right_hand_side(matches, normals, term)
+        self._last: tuple[np.ndarray, np.ndarray] | None = None  # a displacement and its image, for the next look
+
+    def apply(self, displacement: np.ndarray) -> np.ndarray:
+        """The matrix times a displacement (n, 3), without colours."""
+        image = self.deformation.system.apply(displacement, self._strength, self._normals)
+        self._features.add_image(image, displacement)
+        return image
+
+    def deform(self, start: np.ndarray, steps: int, skin: SurfaceTerm | None = None) -> np.ndarray:
+        """Displacement (n, 3) by ``steps`` preconditioned conjugate-gradient steps from ``start`` (n, 3).
+
+        Where there are slow modes, a step in their span comes first. ``skin``: the colours' rows.
+        """
+        slow, deformation = self.deformation.slow, self.deformation
+        correction = deformation.feature_correction(self._term) if slow is None and steps else None
+        first = [] if slow is None else [slow.solve]
+
+        def precondition(residual: np.ndarray) -> np.ndarray:
+            """The search direction (n, 3) for a residual (n, 3)."""
+            return deformation.precondition(residual, correction)
+
+        displacement = start.copy()
+        image = self._last[1] if self._last is not None and self._last[0] is start else self.apply(start)
+        residual = self._right - image
+        if skin is not None:
+            skin.add_residual(residual, start)
+        earlier: list[tuple[np.ndarray, np.ndarray, float]] = []  # directions, their images and their stiffness
+        for solve in [*first, *[precondition] * steps]:
+            direction = solve(residual)
+            for other, seen, stiffness in earlier:
+                _add(direction, -float(np.vdot(direction, seen)) / stiffness, other)
+            slope = float(np.vdot(residual, direction))
+            if slope <= 0.0:
+                break
+            plain = seen = self.apply(direction)
+            if skin is not None:
+                seen = plain.copy()
+                skin.add_image(seen, direction)
+            stiffness = float(np.vdot(direction, seen))
+            _add(displacement, slope / stiffness, direction)
+            _add(residual, -slope / stiffness, seen)
+            if skin is not None:
+                _add(image, slope / stiffness, plain)
+            earlier.append((direction, seen, stiffness))
+        if skin is not None:
+            self._last = displacement, image
+        return displacement
 
 
 @compiled(nogil=True)
@@ -311,3 +342,11 @@ def _at_features(index: np.ndarray, forces: np.ndarray, count: int) -> np.ndarra
         for k in range(3):
             total[index[i], k] += forces[i, k]
     return total.astype(np.float32)
+
+
+@compiled(nogil=True)
+def _add(field: np.ndarray, factor: float, other: np.ndarray) -> None:
+    """``field += factor * other`` of two fields (n, 3), in place and in one pass."""
+    for i in range(len(field)):
+        for k in range(3):
+            field[i, k] += factor * other[i, k]

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 
 from ..caches.compiled import compiled
 from ..geometry.mesh import cotangent_laplacian
+from .lanes import LANES, less, put, row
 from .packed_factor import PackedFactor
 
 #: ``laplacian(vertices (N, 3), triangles (T, 3))`` -> L (N, N) of a mesh.
@@ -96,15 +97,17 @@ def _apply_with_planes(
     n^T d is summed in the order of NumPy's ``einsum`` on pairs.
     """
     count = len(strength)
-    image = np.empty((count, 3))
+    image, places = np.empty((count, 3)), np.zeros((count, LANES))
+    zeros, less_smooth = np.zeros((1, LANES)), np.empty((1, LANES))  # the latter: -S d of one vertex
     for i in range(count):
-        a, b, c = 0.0, 0.0, 0.0
+        places[i, 0], places[i, 1], places[i, 2] = d[i, 0], d[i, 1], d[i, 2]
+    for i in range(count):
+        left = row(zeros, 0)
         for k in range(np.uint32(starts[i]), np.uint32(starts[i + 1])):
-            j, value = np.uint32(columns[k]), values[k]
-            a += value * d[j, 0]
-            b += value * d[j, 1]
-            c += value * d[j, 2]
+            left = less(left, values[k], row(places, np.uint32(columns[k])))
+        put(less_smooth, 0, left)
+        a, b, c = less_smooth[0, 0], less_smooth[0, 1], less_smooth[0, 2]
         x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
         along = strength[i] * (x * d[i, 0] + z * d[i, 2] + y * d[i, 1])
-        image[i, 0], image[i, 1], image[i, 2] = a + along * x, b + along * y, c + along * z
+        image[i, 0], image[i, 1], image[i, 2] = along * x - a, along * y - b, along * z - c
     return image

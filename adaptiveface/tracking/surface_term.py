@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,14 +14,23 @@ from ..caches.compiled import compiled
 class SurfaceTerm:
     """Q points with energy sum_q e_q^T M_q e_q - 2 p_q^T e_q, where e_q = sum_k shares_qk d_corners_qk is a point's motion.
 
-    ``corners`` (Q, 3) numbers of frontal vertices, ``shares`` (Q, 3) barycentric weights, ``matrices`` M (Q, 3, 3), 1/mm^2,
-    and ``pulls`` p (Q, 3), 1/mm.
+    ``corners`` (Q, 3) numbers of frontal vertices, ``shares`` (Q, 3) barycentric weights, ``matrices`` M (Q, 3, 3), 1/mm^2.
+    ``forces`` (Q, 3), 1/mm, is what the rows pull with at the displacement ``origin`` (n, 3), mm, or, without one, at zero.
     """
 
     corners: np.ndarray
     shares: np.ndarray
     matrices: np.ndarray
-    pulls: np.ndarray
+    forces: np.ndarray
+    origin: np.ndarray | None = None
+
+    @cached_property
+    def pulls(self) -> np.ndarray:
+        """p (Q, 3), 1/mm."""
+        if self.origin is None:
+            return self.forces
+        pulls: np.ndarray = self.forces + _moved(self.corners, self.shares, self.matrices, self.origin)
+        return pulls
 
     def add_image(self, field: np.ndarray, displacement: np.ndarray) -> None:
         """Add the term's matrix times a displacement (n, 3) to a field (n, 3), in place."""
@@ -30,17 +40,17 @@ class SurfaceTerm:
         """Add the pulls to a field (n, 3), in place."""
         _spread(field, self.corners, self.shares, self.pulls)
 
+    def add_residual(self, field: np.ndarray, displacement: np.ndarray) -> None:
+        """Add the pulls that are left at a displacement (n, 3) to a field (n, 3), in place: at ``origin`` they are known."""
+        left = self.forces
+        if displacement is not self.origin:
+            left = self.pulls - _moved(self.corners, self.shares, self.matrices, displacement)
+        _spread(field, self.corners, self.shares, left)
+
     def totals(self) -> tuple[np.ndarray, np.ndarray]:
         """Sums of the matrices (3, 3) and of the pulls (3,): the rows of a motion that all points share."""
         matrix, pull = _totals(self.matrices, self.pulls)
         return matrix, pull
-
-    @classmethod
-    def about(
-        cls, corners: np.ndarray, shares: np.ndarray, matrices: np.ndarray, forces: np.ndarray, displacement: np.ndarray
-    ) -> SurfaceTerm:
-        """The term whose rows were linearised at a ``displacement`` (n, 3), where they pull with ``forces`` (Q, 3)."""
-        return cls(corners, shares, matrices, forces + _moved(corners, shares, matrices, displacement))
 
 
 @compiled(nogil=True)

@@ -22,6 +22,7 @@ from .feature_confidence import weigh_features
 from .feature_prediction import MOST_OCCLUDED, confidence_kept, predict_features
 from .feature_refinement import FeatureRefinement
 from .feature_rows import reprojection_errors
+from .laplacian import FrameSystem
 from .personal_blendshapes import PersonalBlendshapes
 from .printed import depth_offsets, offsets_at_features
 from .rigid import RigidFit
@@ -242,13 +243,14 @@ class FaceTracker(Tracker):
         with timed(ms, "laplacian"):
             if looks is None:
                 return self._deform_to_depth(frame, pose, v1, matches), clock
-            p, planes = self.parameters, matches.normals @ pose[:3, :3]
+            p = self.parameters
             weight = p.laplacian.feature_weight
             term = self._feature_term(frame.features, frame.camera, pose, v1, weight, hold_depth=False)
+            system = FrameSystem(looks.deformation, matches, matches.normals @ pose[:3, :3], term)
         d, colours = self.state.deformation, looks.first
         for left in range(p.skin.gauss_newton_steps - 1, -1, -1):
             with timed(ms, "laplacian"):  # before the last look, smooth motion is enough
-                d = looks.deformation.deform(matches, planes, term, d, 0 if left else p.skin.cg_iterations, colours)
+                d = system.deform(d, 0 if left else p.skin.cg_iterations, colours)
             with timed(ms, "skin"):
                 colours = looks.again(d) if left else colours
         return d, clock
