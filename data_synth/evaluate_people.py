@@ -3,11 +3,13 @@
     python data_synth/evaluate_people.py [--people kinect2_ir_1 ...] [--pictures FOLDER] [--set stage.name=value ...]
 
 The neutral comes from the first nine frames of each; then every frame is tracked, shown three times over since they are
-photographs and no video. Printed for each person: the neutral's roughness, which is the root mean square over the face of
-its mean curvature beyond that of the nearest head that the identity modes make, 1/m; the distance of v4 from the depth
-along the ray, mm, where no hair covers the skin; how many frames were lost; in how many frames a named expression's own
-curve is the one that changed most from the neutral of the same pose; and how well a curve tells the expression from the
-others (AUC). The people are not part of this project: without them it says so and ends.
+photographs and no video. All of this happens twice: the first time while little is known of the person, and once more with
+what the first time has taught (from the pictures alone: no label is used). Printed for each person and time: the neutral's
+roughness, which is the root mean square over the face of its mean curvature beyond that of the nearest head that the
+identity modes make, 1/m; the distance of v4 from the depth along the ray, mm, where no hair covers the skin; how many frames
+were lost; in how many frames a named expression's own curve is the one that changed most from the neutral of the same pose;
+and how well a curve tells the expression from the others (AUC). The people are not part of this project: without them it
+says so and ends.
 """
 
 from __future__ import annotations
@@ -48,6 +50,8 @@ OWN = {
 FRONTAL = 25.0
 #: A photograph is shown this often.
 SHOWN = 3
+#: How often all of them are shown.
+TIMES = ("first", "repeat")
 
 
 def main() -> None:
@@ -63,19 +67,22 @@ def main() -> None:
         print(f"none of {', '.join(args.people)} is in {PEOPLE}: nothing to evaluate")
         return
     model, everybody = embedded_face_model(), []
-    print(f"{'':14}{'rough 1/m':>10}{'v4 mm':>8}{'95 %':>8}{'lost':>6}   own curve largest (frontal, all)   AUC (frontal, all)")
+    print(f"{'':24}{'rough 1/m':>10}{'v4 mm':>8}{'95 %':>8}{'lost':>6}   own curve largest (frontal, all)   AUC (frontal, all)")
     for name in there:
         with one_thread():
             frames = detected_frames(PEOPLE / name)
             actor = capture_actor(frames[:NEUTRAL], model, parameters)
             skin = capture_actor(frames[:NEUTRAL], model).depth_valid
-            people = Person(actor, frames, track(actor, frames, parameters), skin)
-        everybody.append(people)
-        print(f"{name:14}{roughness(actor.neutral, model):10.2f}{people.figures()}", flush=True)
+            tracker = FaceTracker(actor, parameters)
+            times = [Person(actor, frames, track(tracker, frames), skin) for _ in TIMES]
+        everybody.append(times)
+        for time, person in zip(TIMES, times, strict=True):
+            print(f"{name:14}{time:10}{roughness(actor.neutral, model):10.2f}{person.figures()}", flush=True)
         if args.pictures:
             draw(actor, args.pictures / name)
     if len(everybody) > 1:
-        print(f"{'all':24}{Everybody(everybody).figures()}")
+        for time, people in zip(TIMES, zip(*everybody, strict=True), strict=True):
+            print(f"{'all':14}{time:20}{Everybody(list(people)).figures()}")
 
 
 def detected_frames(folder: Path) -> list[RgbdFrame]:
@@ -113,9 +120,9 @@ def mean_curvature(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return along / (2.0 * np.maximum(vertex_areas(vertices, triangles), 1e-9))
 
 
-def track(actor: Actor, frames: list[RgbdFrame], parameters: Parameters) -> list[TrackedFrame]:
+def track(tracker: FaceTracker, frames: list[RgbdFrame]) -> list[TrackedFrame]:
     """The last of several looks at every frame."""
-    tracker, out = FaceTracker(actor, parameters), []
+    out = []
     for frame in frames:
         for _ in range(SHOWN):
             tracked = tracker.track(frame)

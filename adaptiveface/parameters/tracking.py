@@ -373,4 +373,4 @@ class PersonalBlendshapesParameters(Stage):
         log=True,
     )
     memory: int = parameter(3000, "frames with expression after which a frame counts a third", low=10, high=1000000, log=True)
-    interval: int = parameter(30, "learned frames between two updates of the meshes", low=1, high=10000, log=True)
+    interval: int = parameter(10, "learned frames between two updates of the meshes", low=1, high=10000, log=True)

@@ -8,13 +8,13 @@ frames t with coefficients x_t and observed displacements d_t(v) - B(v) x_t = r_
                            + sum_i |dB_i(v)|^2 / (prior_deviation |b_i(v)|)^2 + |c(v)|^2 / misfit^2
 
 so that an expression changes only where it moves, by a share of its own motion, as smoothly as that; whatever is off at rest
-goes into c, which is not used: the neutral stays, and coefficients of zero change nothing.
+goes into c, which is not used: the neutral stays, and coefficients of zero change nothing. Lids hardly change at all.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Self
 
 import numpy as np
@@ -24,6 +24,9 @@ from ..parameters import PersonalBlendshapesParameters
 
 #: Standard deviation of the neutral's own error c, mm.
 MISFIT = 1.0
+#: Closed lids deviate from the transferred ones by this share of what other expressions may. Depth does not see them, and
+#: of a person with narrow eyes the tracker learned that a blink is small, until open eyes counted as closed ones.
+LIDS, LIDS_SHARE = "eyeBlink", 0.1
 
 
 @compiled
@@ -97,6 +100,8 @@ class PersonalBlendshapes:
         The transferred expressions as displacements from the neutral, mm.
     parameters
         See :class:`.PersonalBlendshapesParameters`.
+    names : (A,) str, optional
+        The expressions' names, which tell the lids.
 
     Attributes
     ----------
@@ -106,10 +111,11 @@ class PersonalBlendshapes:
         How often that was.
     """
 
-    def __init__(self, basis: np.ndarray, parameters: PersonalBlendshapesParameters) -> None:
+    def __init__(self, basis: np.ndarray, parameters: PersonalBlendshapesParameters, names: Sequence[str] = ()) -> None:
         self.parameters = parameters
         self._transferred = basis.reshape(len(basis), -1).astype(np.float32)
         lengths = np.linalg.norm(basis, axis=2).T
+        lengths[:, [k for k, name in enumerate(names) if name.startswith(LIDS)]] *= LIDS_SHARE
         #: (n, A + 1) prior standard deviations of dB and c, mm.
         self._deviations = np.column_stack([parameters.prior_deviation * lengths, np.full(len(lengths), MISFIT)])
         self.reset()

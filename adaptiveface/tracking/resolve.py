@@ -10,21 +10,24 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import FileFormatError
+from ..geometry.frame import FEATURE_REGIONS
 from ..model.actor import Actor
 from ..parameters import BlendshapeParameters
 from .bounded import BoundedSolver, bounded_least_squares, sparse_least_squares
-from .expression_prior import habit_penalty, habit_trust
+from .expression_prior import habit_penalty, habit_trust, lips_count, lips_nearness
 
 #: Number of frontal vertices for which ``blendshapes.sparsity`` holds.
 SPARSITY_VERTICES = 3500
+#: Vertices that are less near to the lips (:func:`.lips_nearness`) count as all others.
+_FAR = 0.01
 
 
 class SparseResolve:
     """Finds few bounded coefficients that explain a mesh over the frontal region.
 
     There are two departures from the paper: the penalty of :func:`sparsity_penalty`, and the habits of real faces
-    (:mod:`.expression_prior`), which count as much as the expressions misfit the mesh. With ``sparsity`` and
-    ``expression_prior`` 0 this is the plain bounded fit.
+    (:mod:`.expression_prior`), which count as much as the expressions misfit the mesh, and with which the lips count more.
+    With ``sparsity`` and ``expression_prior`` 0 this is the plain bounded fit.
 
     Parameters
     ----------
@@ -60,6 +63,11 @@ class SparseResolve:
         self._habits = parameters.expression_prior * habit_penalty(actor.expression_names[:count])
         self._has_habits = bool(self._habits.any())
         self._bounds = np.full(count, parameters.lower), np.full(count, parameters.upper)
+        nearness = np.repeat(lips_nearness(self._neutral, _lips(actor)), 3)
+        self._near_lips = np.flatnonzero(nearness > _FAR)
+        at_lips = rows[:, self._near_lips]
+        weighted = at_lips * nearness[self._near_lips]
+        self._lips, self._lips_gram = weighted.astype(dtype, copy=False), weighted @ at_lips.T
 
     @classmethod
     def of(cls, actor: Actor, names: Sequence[str], parameters: BlendshapeParameters | None = None) -> Self:
@@ -79,10 +87,21 @@ class SparseResolve:
         if not self._has_habits:
             return x
         trust = habit_trust(float(displacement @ displacement) - 2.0 * g @ x + x @ self._gram @ x, len(self._frontal))
-        return self._solve(self._matrix + trust * self._habits, g, x) if trust > 0.0 else x
+        if trust == 0.0:
+            return x
+        more = lips_count(trust)
+        g = g + more * (self._lips @ displacement.take(self._near_lips))
+        return self._solve(self._matrix + more * self._lips_gram + trust * self._habits, g, x)
 
     def _solve(self, matrix: np.ndarray, g: np.ndarray, start: np.ndarray | None) -> np.ndarray:
         return few_coefficients(matrix, g, self._penalty, *self._bounds, start, self._solver)
+
+
+def _lips(actor: Actor) -> np.ndarray:
+    """(m, 3) the features of the lips on the actor's neutral, mm."""
+    lips = FEATURE_REGIONS == "lips"
+    points: np.ndarray = np.einsum("fk,fkd->fd", actor.feature_weights[lips], actor.neutral[actor.feature_triangles[lips]])
+    return points
 
 
 def few_coefficients(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,7 @@ class Stages:
         Sections 4.3 and 4.4. Other weights reach an existing stage through its ``reweighted``.
     adaptive_pca : (actor, blendshapes (A, N, 3), parameters) -> AdaptiveModel
         Sections 4.3 and 5.
-    personal_blendshapes : (expressions (A, n, 3) over the frontal region, parameters) -> PersonalBlendshapes
+    personal_blendshapes : (expressions (A, n, 3) over the frontal region, parameters, their names) -> PersonalBlendshapes
         Not in the paper; made only if they are on.
     refinement : (actor, parameters) -> FeatureRefinement
         Not in the paper; made only for an actor whose appearance is known.
@@ -63,6 +63,8 @@ class Stages:
     deformation: Callable[[Actor, float, float], LaplacianDeformation] = LaplacianDeformation.of
     final_deformation: Callable[[Actor, float, float], LaplacianDeformation] = LaplacianDeformation.of
     adaptive_pca: Callable[[Actor, np.ndarray, AdaptivePcaParameters], AdaptiveModel] = AdaptiveModel
-    personal_blendshapes: Callable[[np.ndarray, PersonalBlendshapesParameters], PersonalBlendshapes] = PersonalBlendshapes
+    personal_blendshapes: Callable[[np.ndarray, PersonalBlendshapesParameters, Sequence[str]], PersonalBlendshapes] = (
+        PersonalBlendshapes
+    )
     refinement: Callable[[Actor, RefinementParameters], FeatureRefinement] = FeatureRefinement
     skin: Callable[[Skin, FrontalRegion, LaplacianDeformation, SkinParameters], DenseSkin] = DenseSkin
