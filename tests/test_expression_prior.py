@@ -6,7 +6,16 @@ import pytest
 from adaptiveface.model.face_model import embedded_face_model
 from adaptiveface.neutral.capture import build_actor
 from adaptiveface.parameters import Parameters
-from adaptiveface.tracking.expression_prior import GOOD_FIT, expression_statistics, habit_penalty, habit_trust
+from adaptiveface.tracking.expression_prior import (
+    GOOD_FIT,
+    LIPS_KNOWN,
+    LIPS_REACH,
+    expression_statistics,
+    habit_penalty,
+    habit_trust,
+    lips_count,
+    lips_nearness,
+)
 from adaptiveface.tracking.resolve import SparseResolve
 
 MODEL = embedded_face_model()
@@ -93,6 +102,29 @@ def test_what_people_seldom_do_alone_keeps_its_size_where_the_expressions_fit(ac
 def test_habits_count_as_much_as_the_expressions_misfit():
     assert habit_trust(0.0, 100) == habit_trust(100 * GOOD_FIT**2, 100) == 0.0
     assert habit_trust(100 * (GOOD_FIT**2 + 0.5), 100) == pytest.approx(0.5)
+
+
+def test_lips_count_more_as_the_expressions_misfit():
+    counts = [lips_count(trust) for trust in (0.0, 0.1, 0.5, 1e9)]
+    assert counts[0] == 0.0 and counts == sorted(counts)
+    assert counts[-1] == pytest.approx(LIPS_KNOWN - 1.0)
+    lips = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
+    near = lips_nearness(np.array([[0.0, 0.0, 0.0], [50.0, LIPS_REACH, 0.0], [0.0, 1e3, 0.0]]), lips)
+    np.testing.assert_allclose(near, [1.0, np.exp(-0.5), 0.0], atol=1e-12)
+
+
+def test_cheeks_that_a_scream_raises_are_no_smile(actor):
+    """Cheeks move as in a smile while the lips do not: with the lips known better, less of a smile is seen."""
+    smile = np.tensordot(row(mouthSmileLeft=0.5, mouthSmileRight=0.5), actor.blendshapes, axes=1)
+    lips = np.einsum("fk,fkd->fd", actor.feature_weights[20:], actor.neutral[actor.feature_triangles[20:]])
+    cheeks = (1.0 - lips_nearness(actor.neutral, lips))[:, None]
+    mesh = face(actor, 0.8, jawOpen=0.6) + cheeks * smile
+    resolve = SparseResolve(actor, actor.blendshapes, HABITS)
+    found = resolve(mesh)
+    resolve._lips_gram, resolve._lips = 0.0 * resolve._lips_gram, 0.0 * resolve._lips
+    alike = resolve(mesh)
+    sides = [NAMES.index("mouthSmileLeft"), NAMES.index("mouthSmileRight")]
+    assert found[sides].mean() < 0.9 * alike[sides].mean()
 
 
 def test_some_expressions_of_a_rig_are_solved_by_their_own_names(actor):

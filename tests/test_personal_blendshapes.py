@@ -79,6 +79,17 @@ def test_a_face_at_rest_forgets_nothing():
     np.testing.assert_allclose(learner.change, before, atol=0.02)
 
 
+@pytest.mark.parametrize(("name", "least", "most"), [("jawOpen", 0.3, 1.0), ("eyeBlinkLeft", 0.0, 0.1)])
+def test_lids_hardly_change(name, least, most):
+    """Narrow eyes add half a blink to every frame; what was seen of it taught that a blink is small."""
+    basis, rng = small_basis(expressions=2), np.random.default_rng(1)
+    learner = PersonalBlendshapes(basis, PersonalBlendshapesParameters(on=True, interval=4, noise=2.0), (name, "mouthPucker"))
+    for _ in range(30):
+        true = rng.uniform(0.0, 0.5, 2)
+        learner.learn(true + [0.5, 0.0], np.tensordot(true, basis, axes=1).ravel())
+    assert least < -(learner.change[0] * basis[0]).sum() / (basis[0] ** 2).sum() < most
+
+
 def test_few_frames_change_little():
     basis = small_basis()
     sizes = [np.abs(learned(basis, 0.2 * basis, frames=n, noise=5.0).change).mean() for n in (8, 40, 400)]

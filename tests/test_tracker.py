@@ -192,6 +192,19 @@ def test_a_jump_of_the_head_is_found_again(scene):
     assert errors(result, actor.neutral, pose, actor, "v4").mean() < 1.0
 
 
+@pytest.mark.parametrize("also", [{}, {"noseSneer": 1.3, "browDown": 1.3}])
+def test_a_face_that_comes_with_a_strong_expression_is_found(scene, also):
+    """The resting face is more than ``max_residual`` away from it; a photograph of a laughing person was lost like this."""
+    actor = scene[0]
+    x = coefficients(actor, jawForward=1.3, cheekPuff=1.3, mouthSmileLeft=1.3, mouthSmileRight=1.3, **also)
+    shape, pose = posed_shape(actor, x), head_pose((0.05, -0.1, 0.0))
+    tracker = FaceTracker(actor)
+    result = tracker.track(render_frame(actor, shape, pose, 5, noise=0.6, pixel_noise=0.4))
+    assert result.tracked
+    result = tracker.track(render_frame(actor, shape, pose, 6, noise=0.6, pixel_noise=0.4))
+    assert errors(result, shape, pose, actor, "v4").mean() < 1.5
+
+
 def test_tracks_without_features_once_started(scene):
     actor, frames, shapes, poses = scene
     tracker = FaceTracker(actor)
