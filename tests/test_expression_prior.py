@@ -138,3 +138,10 @@ def test_some_expressions_of_a_rig_are_solved_by_their_own_names(actor):
 def test_the_paper_has_no_habits():
     assert HABITS.expression_prior > 0.0
     assert Parameters.paper().blendshapes.expression_prior == 0.0
+
+
+def test_other_meshes_of_the_expressions_are_resolved_as_by_a_new_solver(actor):
+    changed = actor.blendshapes * np.random.default_rng(1).uniform(0.8, 1.2, (len(NAMES), 1, 1))
+    mesh = face(actor, 0.8, jawOpen=0.5, browInnerUp=0.4)
+    found = SparseResolve(actor, actor.blendshapes, HABITS).with_basis(changed)(mesh)
+    np.testing.assert_array_equal(found, SparseResolve(actor, changed, HABITS)(mesh))

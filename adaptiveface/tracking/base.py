@@ -74,8 +74,7 @@ class Tracker(ABC):
         """Fit with the current expressions. The anchors remain those of the transferred expressions."""
         self.blendshapes = self.transferred
         if self.personal is not None and self.personal.updates:
-            basis = self.transferred.basis.astype(np.float32)
-            basis[:, self.region.vertices] += self.personal.change
+            basis = self.region.changed(self.transferred.basis, self.personal.change)
             self.blendshapes = self.transferred.with_basis(basis)
 
     def personal_actor(self) -> Actor:

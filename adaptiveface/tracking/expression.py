@@ -145,6 +145,8 @@ class BlendshapeFit:
         self._radius = float(np.sqrt(((self._b0 - self._middle) ** 2).sum(axis=1).mean()))
         self._f0 = np.einsum("fk,fkd->fd", actor.feature_weights, self.neutral[actor.feature_triangles])
         self._take(actor.blendshapes[: parameters.A])
+        #: Section 6: the re-solve of the final mesh, ``resolve(vertices (N, 3), start (A,))``.
+        self.resolve = SparseResolve(actor, self.basis, parameters, np.float32, solver)
 
     def _take(self, basis: np.ndarray) -> None:
         """Fit with the expressions ``basis`` (A, N, 3), mm."""
@@ -155,13 +157,12 @@ class BlendshapeFit:
         self._motion = self._b_flat.T.astype(float) @ self._b_flat / max(len(self._b), 1)  # (A, A) mean squared motion, mm^2
         self._f = np.einsum("fk,afkd->fda", actor.feature_weights, self.basis[:, actor.feature_triangles])
         self._flat = self.basis.reshape(count, -1).astype(np.float32, copy=False)
-        #: Section 6: the re-solve of the final mesh, ``resolve(vertices (N, 3), start (A,))``.
-        self.resolve = SparseResolve(actor, self.basis, self.parameters, np.float32, self._solver)
 
     def with_basis(self, basis: np.ndarray) -> Self:
         """The same fit with other meshes (A, N, 3) of the same expressions, displacements from the neutral, mm."""
         out = copy.copy(self)
         out._take(basis)
+        out.resolve = self.resolve.with_basis(basis)
         return out
 
     def shape(self, x: np.ndarray) -> np.ndarray:

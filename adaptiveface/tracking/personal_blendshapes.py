@@ -39,7 +39,7 @@ def _accumulate(moments: np.ndarray, x: np.ndarray, residual: np.ndarray, weight
 
 
 #: So many vertices are solved for side by side: each step of the factorisation is one loop over them.
-_LANES = 32
+_LANES = 64
 
 
 @compiled(nogil=True)

@@ -42,10 +42,22 @@ class FrontalRegion:
         """(n, 3) unit normals of the neutral."""
         return vertex_normals(self.neutral, self._triangles)
 
+    def placed(self, mesh: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Places (n, 3) of the region of a ``mesh`` (N, 3) at a ``pose`` (4, 4) head to camera, camera frame, mm."""
+        places: np.ndarray = _placed(mesh, self.vertices, pose)
+        return places
+
     def difference(self, mesh: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Displacement (3n,) of the region from the mesh ``origin`` (N, 3) to ``mesh`` (N, 3), mm."""
         moved: np.ndarray = _differences(mesh, origin, self.vertices).ravel()
         return moved
+
+    def changed(self, shapes: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Shapes (A, N, 3) in single precision, their region changed by ``change`` (A, n, 3), mm."""
+        out = shapes.astype(np.float32)
+        for shape, by in zip(out, change, strict=True):
+            _move(shape, self.vertices, by)
+        return out
 
     def displaced(self, mesh: np.ndarray, deformation: np.ndarray) -> np.ndarray:
         """Copy ``mesh`` (N, 3) and move its region by ``deformation`` (n, 3), mm."""
@@ -58,6 +70,17 @@ class FrontalRegion:
         moved = self.displaced(mesh, frontal.reshape(-1, 3))
         _move(moved, self.outside, outside.reshape(-1, 3))
         return moved
+
+
+@compiled(nogil=True)
+def _placed(mesh: np.ndarray, vertices: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """R ``mesh[vertices]`` + t (n, 3), computed in one pass."""
+    out = np.empty((len(vertices), 3))
+    for i in range(len(vertices)):
+        x, y, z = mesh[vertices[i], 0], mesh[vertices[i], 1], mesh[vertices[i], 2]
+        for k in range(3):
+            out[i, k] = pose[k, 0] * x + pose[k, 1] * y + pose[k, 2] * z + pose[k, 3]
+    return out
 
 
 @compiled

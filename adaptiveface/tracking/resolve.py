@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Self
@@ -52,22 +53,35 @@ class SparseResolve:
         dtype: npt.DTypeLike = np.float64,
         solver: BoundedSolver = bounded_least_squares,
     ) -> None:
-        count, self._dtype, self._solver = len(basis), dtype, solver
+        count, self._dtype, self._solver, self._parameters = len(basis), dtype, solver, parameters
         self._frontal = np.flatnonzero(actor.frontal)
         self._neutral = actor.neutral[self._frontal]
-        rows = basis[:, self._frontal].reshape(count, -1)
-        gram = rows @ rows.T
-        self._basis = rows.astype(dtype, copy=False)
-        self._penalty = sparsity_penalty(gram, parameters.sparsity, len(self._frontal))
-        self._gram, self._matrix = gram, gram + parameters.ridge * np.eye(count)
         self._habits = parameters.expression_prior * habit_penalty(actor.expression_names[:count])
         self._has_habits = bool(self._habits.any())
         self._bounds = np.full(count, parameters.lower), np.full(count, parameters.upper)
-        nearness = np.repeat(lips_nearness(self._neutral, _lips(actor)), 3)
+        nearness = lips_nearness(self._neutral, _lips(actor))
         self._near_lips = np.flatnonzero(nearness > _FAR)
-        at_lips = rows[:, self._near_lips]
-        weighted = at_lips * nearness[self._near_lips]
-        self._lips, self._lips_gram = weighted.astype(dtype, copy=False), weighted @ at_lips.T
+        self._lips_weights = np.repeat(nearness[self._near_lips], 3)
+        self._take(basis)
+
+    def _take(self, basis: np.ndarray) -> None:
+        """Solve for the expressions ``basis`` (A, N, 3), mm."""
+        count, p = len(basis), self._parameters
+        shapes = basis.take(self._frontal, axis=1)
+        rows = shapes.reshape(count, -1)
+        gram = rows @ rows.T
+        self._basis = rows.astype(self._dtype, copy=False)
+        self._penalty = sparsity_penalty(gram, p.sparsity, len(self._frontal))
+        self._gram, self._matrix = gram, gram + p.ridge * np.eye(count)
+        at_lips = shapes.take(self._near_lips, axis=1).reshape(count, -1)
+        weighted = at_lips * self._lips_weights
+        self._lips, self._lips_gram = weighted.astype(self._dtype, copy=False), weighted @ at_lips.T
+
+    def with_basis(self, basis: np.ndarray) -> Self:
+        """The same re-solve with other meshes (A, N, 3) of the same expressions, mm."""
+        out = copy.copy(self)
+        out._take(basis)
+        return out
 
     @classmethod
     def of(cls, actor: Actor, names: Sequence[str], parameters: BlendshapeParameters | None = None) -> Self:
@@ -81,7 +95,8 @@ class SparseResolve:
 
     def __call__(self, vertices: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """Find the coefficients (A,) of a mesh (N, 3) in the head frame, mm. ``start`` (A,) is a first guess."""
-        displacement = (vertices.take(self._frontal, axis=0) - self._neutral).ravel().astype(self._dtype, copy=False)
+        offsets = (vertices.take(self._frontal, axis=0) - self._neutral).astype(self._dtype, copy=False)
+        displacement = offsets.ravel()
         g = self._basis @ displacement
         x = self._solve(self._matrix, g, start)
         if not self._has_habits:
@@ -90,7 +105,7 @@ class SparseResolve:
         if trust == 0.0:
             return x
         more = lips_count(trust)
-        g = g + more * (self._lips @ displacement.take(self._near_lips))
+        g = g + more * (self._lips @ offsets.take(self._near_lips, axis=0).ravel())
         return self._solve(self._matrix + more * self._lips_gram + trust * self._habits, g, x)
 
     def _solve(self, matrix: np.ndarray, g: np.ndarray, start: np.ndarray | None) -> np.ndarray:
