@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scenes import CAMERA, coefficients, exact_actor, head_pose, posed_shape, render_frame
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.optimize import lsq_linear, minimize
 from scipy.sparse.linalg import spsolve
 
@@ -15,7 +16,7 @@ from adaptiveface.parameters import BlendshapeParameters, DepthParameters, Kalma
 from adaptiveface.registration.association import Correspondences, find_correspondences
 from adaptiveface.registration.icp import icp, last
 from adaptiveface.registration.step import point_to_plane_step, rigid_jacobian
-from adaptiveface.registration.surface import depth_surface, occluded_share
+from adaptiveface.registration.surface import _away_from_edges, depth_surface, occluded_share
 from adaptiveface.tracking.bounded import bounded_least_squares, sparse_least_squares
 from adaptiveface.tracking.detection import pose_from_features
 from adaptiveface.tracking.expression import BlendshapeFit, Seen
@@ -53,6 +54,17 @@ def test_correspondences_of_the_true_mesh_have_no_distance(actor):
     normals = vertex_normals(points, actor.triangles)[used]
     cosine = (matches.normals[used] * normals).sum(axis=1)
     assert np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))) < 6.0
+
+
+def test_depth_is_clean_where_it_spans_little_over_the_measured_neighbours():
+    rng = np.random.default_rng(2)
+    z = (600.0 + np.cumsum(rng.normal(0.0, 4.0, (40, 50)), axis=1)).astype(np.float32)
+    z[rng.uniform(size=z.shape) < 0.1] = 0.0
+    measured = np.where(z > 0, z, 1e6)
+    span = maximum_filter(z, 3, mode="nearest") - minimum_filter(measured, 3, mode="nearest")
+    clean = _away_from_edges(z, np.float32(20.0))
+    np.testing.assert_array_equal(clean, (z > 0) & (span <= 20.0))
+    assert 0.1 < clean.mean() < 0.9
 
 
 def test_a_shifted_plane_gives_its_distance():

@@ -59,9 +59,7 @@ def channels(picture: np.ndarray, blur: float) -> np.ndarray:
 
 def blurred_channels(mixed: np.ndarray, blur: float) -> np.ndarray:
     """:func:`channels` of a picture's :func:`mixtures` (4, H, W), which serve for all blurs."""
-    if blur:
-        mixed = np.stack([cv2.GaussianBlur(plane, (0, 0), blur) for plane in mixed])
-    brightness, first, second, total = mixed
+    brightness, first, second, total = (cv2.GaussianBlur(plane, (0, 0), blur) for plane in mixed) if blur else mixed
     return cv2.merge([contrast(brightness), cv2.divide(first, total), cv2.divide(second, total)])
 
 

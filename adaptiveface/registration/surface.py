@@ -103,18 +103,16 @@ def depth_surface(
     """
     u0, v0, u1, v1 = window
     z = np.ascontiguousarray(depth[v0:v1, u0:u1], np.float32)
-    missing, far = z <= 0, z.copy()
-    np.putmask(far, missing, 1e6)
-    span = cv2.dilate(z, np.ones((3, 3))) - cv2.erode(far, np.ones((3, 3)))
-    clean = (~missing & (span <= parameters.edge)).astype(np.float32)
+    clean = _away_from_edges(z, np.float32(parameters.edge))
     kept = z * clean
 
     def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
         return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
 
     def masked_mean(sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        weight = smooth(clean, sigma)
-        return smooth(kept, sigma) / np.maximum(weight, 1e-3), weight
+        weight, mean = smooth(clean, sigma), smooth(kept, sigma)
+        np.maximum(weight, 1e-3, out=weight)
+        return np.divide(mean, weight, out=mean), weight
 
     fine, _ = masked_mean(parameters.smoothing)
     coarse, support = masked_mean(parameters.normal_smoothing)
@@ -123,6 +121,34 @@ def depth_surface(
     # On a straight rim, half of the support is missing; one and a half smoothing lengths inside it, 7 % are missing.
     valid = clean * (support > 0.8)
     return DepthSurface(camera, (u0, v0), fine, gradient_u, gradient_v, valid, parameters.min_cosine)
+
+
+@compiled(nogil=True)
+def _away_from_edges(z: np.ndarray, edge: np.float32) -> np.ndarray:
+    """(h, w) float32: 1 where depth z (h, w) was measured, and spans at most ``edge`` mm over its neighbours; else 0."""
+    height, width = z.shape
+    far = np.float32(1e6)
+    clean, low, high = (
+        np.zeros((height, width), np.float32),
+        np.full(width + 2, far, np.float32),
+        np.zeros(width + 2, np.float32),
+    )
+    for i in range(height):
+        above, here, below = z[max(i - 1, 0)], z[i], z[min(i + 1, height - 1)]
+        for j in range(width):
+            a, b, c = above[j], here[j], below[j]
+            top = b if b > a else a
+            high[j + 1] = c if c > top else top
+            a, b, c = a if a > 0 else far, b if b > 0 else far, c if c > 0 else far
+            bottom = b if b < a else a
+            low[j + 1] = c if c < bottom else bottom
+        for j in range(width):
+            top = high[j + 1] if high[j + 1] > high[j] else high[j]
+            top = high[j + 2] if high[j + 2] > top else top
+            bottom = low[j + 1] if low[j + 1] < low[j] else low[j]
+            bottom = low[j + 2] if low[j + 2] < bottom else bottom
+            clean[i, j] = np.float32(here[j] > 0 and top - bottom <= edge)
+    return clean
 
 
 def occluded_share(surface: DepthSurface, points: np.ndarray, normals: np.ndarray, margin: float) -> float:

@@ -28,7 +28,7 @@ FADES, PRIOR, BELIEF = 0.93, 2.0, 1.0
 #: Pictures are late with at least this lag and less than this agreement.
 LATE, AGREES = 0.13, 0.95
 #: Stride of the rows and columns that are compared to tell a repeated picture from a new one.
-_SPARSE = 8
+_SPARSE = 16
 
 
 @dataclass(frozen=True)

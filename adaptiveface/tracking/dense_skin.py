@@ -30,13 +30,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry.frame import RgbdFrame
-from ..geometry.mesh import transform_points
 from ..model.skin import PIXELS, Skin, skin_channels
 from ..parameters import SkinParameters
 from .laplacian import LaplacianDeformation
 from .region import FrontalRegion
 from .skin_light import fit_light, in_light, row_weights, trust
-from .skin_samples import CORRELATED, FACING, carry, look_up, normal_equations
+from .skin_samples import CORRELATED, FACING, carry, look_up, moved, normal_equations
 from .slow_modes import SlowModes
 from .surface_term import SurfaceTerm
 
@@ -99,13 +98,13 @@ class DenseSkin:
         self._skin = skin = skin.first(parameters.samples)
         self._corners = np.ascontiguousarray(region.local[skin.triangles])
         self._few = self._corners[::_LIGHT_STRIDE].copy(), skin.weights[::_LIGHT_STRIDE].copy()
-        self._variances = parameters.noise**2 + skin.deviations**2
+        self._precisions = 1.0 / (parameters.noise**2 + skin.deviations**2)
         self._fitting = _FITS**2 + skin.deviations**2
         edges = region.neutral[self._corners[:, 1:]] - region.neutral[self._corners[:, :1]]
         inverse = np.linalg.inv(edges @ edges.transpose(0, 2, 1))
         steepness = np.einsum("qce,qef,qcf->qc", skin.slopes, inverse, skin.slopes)
         self._shares = parameters.weight * skin.coherence / PIXELS
-        known = (self._shares * steepness / self._variances / CORRELATED).sum(axis=1)
+        known = (self._shares * steepness * self._precisions / CORRELATED).sum(axis=1)
         at_vertices = np.bincount(self._corners.ravel(), (skin.weights * known[:, None]).ravel(), minlength=len(region))
         self.deformation = deformation.bounded(at_vertices, self._slow_modes(region, deformation, at_vertices, edges))
 
@@ -118,7 +117,7 @@ class DenseSkin:
         across = np.cross(edges[:, 0], edges[:, 1])
         facing = (across[:, 2] / np.linalg.norm(across, axis=1) - FACING[0]) / (FACING[1] - FACING[0])
         gradients = np.einsum("qcf,qfk->qck", skin.slopes, np.linalg.pinv(edges).transpose(0, 2, 1))
-        weights = COLOUR_SHARE * np.clip(facing, 0.0, 1.0)[:, None] * self._shares / self._variances / CORRELATED
+        weights = COLOUR_SHARE * np.clip(facing, 0.0, 1.0)[:, None] * self._shares * self._precisions / CORRELATED
         return SlowModes.of(
             deformation.system.smoothing,
             deformation.w1 + bound,
@@ -157,7 +156,7 @@ class DenseSkin:
         Looks or None
             None where no colour tells anything.
         """
-        placed = transform_points(pose, vertices + displacement)
+        placed = moved(vertices, displacement, pose)
         picture = self._picture(frame, placed)
         if picture is None:
             return None
@@ -169,14 +168,14 @@ class DenseSkin:
         def rows(placed: np.ndarray, seen: Seen, displacement: np.ndarray) -> SurfaceTerm:
             """The rows about a displacement (n, 3), which puts the vertices at ``placed`` (n, 3), camera frame, mm."""
             residuals = seen.values - expected
-            weights = row_weights(residuals, seen.counts, self._variances, self._shares, believed)
+            weights = row_weights(residuals, seen.counts, self._precisions, self._shares, believed)
             turn = np.ascontiguousarray(pose[:3, :3])
             matrices, forces = normal_equations(residuals, weights, self._skin.slopes, placed, self._corners, turn)
             return SurfaceTerm(self._corners, self._skin.weights, matrices, forces, displacement)
 
         def again(displacement: np.ndarray) -> SurfaceTerm:
             """``Looks.again``: the rows about another displacement (n, 3), mm, by the same light."""
-            placed = transform_points(pose, vertices + displacement)
+            placed = moved(vertices, displacement, pose)
             return rows(placed, self._see(picture, placed, measured), displacement)
 
         gain = 0.0 if before is None else self._gain(picture, before, measured, seen, expected, believed)

@@ -26,26 +26,26 @@ _ROUNDS = 2
 
 @compiled(nogil=True)
 def row_weights(
-    residuals: np.ndarray, counts: np.ndarray, variances: np.ndarray, shares: np.ndarray, believed: np.ndarray
+    residuals: np.ndarray, counts: np.ndarray, precisions: np.ndarray, shares: np.ndarray, believed: np.ndarray
 ) -> np.ndarray:
-    """Weights (Q, 3) of the colours' rows, from residuals (Q, 3) with ``variances`` (Q, 3) where a picture fits best.
+    """Weights (Q, 3) of the colours' rows, from residuals (Q, 3) with ``precisions`` (Q, 3) where a picture fits best.
 
     A sample counts by its ``counts`` (Q,) and ``shares`` (Q, 3), a channel as far as it is ``believed`` (3,). Where all fit
-    worse than the variances say, all variances grow. A residual of 1.7 standard deviations counts a quarter.
+    worse than these inverse variances say, all of them shrink. A residual of 1.7 standard deviations counts a quarter.
     """
     weights, misfit, total = np.zeros(residuals.shape), np.zeros(3), 1e-12
     for q in range(len(residuals)):
         if counts[q] > 0.0:
             total += counts[q]
             for c in range(3):
-                misfit[c] += counts[q] * residuals[q, c] ** 2 / variances[q, c]
+                misfit[c] += counts[q] * residuals[q, c] ** 2 * precisions[q, c]
     for c in range(3):
-        misfit[c] = max(misfit[c] / total, 1.0)
+        misfit[c] = 1.0 / max(misfit[c] / total, 1.0)
     for q in range(len(residuals)):
         if counts[q] > 0.0:
             for c in range(3):
-                certain = 1.0 / (misfit[c] * variances[q, c])
-                robust = 1.0 / (1.0 + residuals[q, c] ** 2 * certain / 3.0)
+                certain = misfit[c] * precisions[q, c]
+                robust = 1.0 / (1.0 + residuals[q, c] ** 2 * certain * (1.0 / 3.0))
                 weights[q, c] = believed[c] * shares[q, c] * counts[q] * certain * robust * robust
     return weights
 

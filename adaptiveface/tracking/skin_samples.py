@@ -34,6 +34,17 @@ def _place(vertices: np.ndarray, triangle: np.ndarray, shares: np.ndarray) -> tu
 
 
 @compiled(nogil=True)
+def moved(vertices: np.ndarray, displacement: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """R (``vertices`` + ``displacement``) + t (n, 3) of a pose (4, 4), computed in one pass."""
+    out = np.empty((len(vertices), 3))
+    for i in range(len(vertices)):
+        x, y, z = vertices[i, 0] + displacement[i, 0], vertices[i, 1] + displacement[i, 1], vertices[i, 2] + displacement[i, 2]
+        for k in range(3):
+            out[i, k] = pose[k, 0] * x + pose[k, 1] * y + pose[k, 2] * z + pose[k, 3]
+    return out
+
+
+@compiled(nogil=True)
 def carry(
     vertices: np.ndarray, triangles: np.ndarray, corners: np.ndarray, measured: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
