@@ -27,6 +27,11 @@ def test_solutions_are_those_of_scipy(single, tolerance):
 
 
 @compiled
+def _subtract_products(array: np.ndarray, i: int, j: int, k: int) -> None:
+    put(array, i, less(row(array, i), row(array, j), row(array, k)))
+
+
+@compiled
 def _subtract_row(array: np.ndarray, i: int, factor: float, j: int) -> None:
     put(array, i, less(row(array, i), factor, row(array, j)))
 
@@ -38,4 +43,7 @@ def test_rows_are_rounded_as_plain_numbers(precision):
     factor, expected = precision(rng.normal()), array.copy()
     expected[5] -= factor * expected[2]
     _subtract_row(array, 5, factor, 2)
+    np.testing.assert_array_equal(array, expected)
+    expected[0] -= expected[1] * expected[6]
+    _subtract_products(array, 0, 1, 6)
     np.testing.assert_array_equal(array, expected)

@@ -51,7 +51,7 @@ def test_the_meshes_are_those_of_the_equation():
     rng = np.random.default_rng(4)
     rows, moments, deviations = rng.standard_normal((50, 6)), rng.standard_normal((6, 20, 3)), rng.uniform(0, 1, (20, 6))
     gram = rows.T @ rows
-    found = _solutions(gram, moments, deviations, 4.0, 8)
+    found = _solutions(gram, moments, deviations, 4.0)
     for v, d in enumerate(deviations):
         z = np.linalg.solve(d[:, None] * gram * d + 4.0 * np.eye(6), d[:, None] * moments[:, v])
         np.testing.assert_allclose(found[:, v], (d[:, None] * z)[:-1], rtol=1e-9, atol=1e-12)

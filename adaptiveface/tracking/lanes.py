@@ -68,12 +68,13 @@ def _put(typing_context: Any, array: Any, number: Any, value: Any) -> Any:
 
 def _less(typing_context: Any, value: Any, factor: Any, other: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, number, second = arguments
-        empty, zeros = ir.Constant(first.type, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
-        factors = builder.shuffle_vector(builder.insert_element(empty, number, ir.IntType(32)(0)), empty, zeros)
+        first, factors, second = arguments
+        if not isinstance(factor, Row):
+            empty, zeros = ir.Constant(first.type, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+            factors = builder.shuffle_vector(builder.insert_element(empty, factors, ir.IntType(32)(0)), empty, zeros)
         return builder.fsub(first, builder.fmul(factors, second))
 
-    return value(value, value.dtype, other), generate
+    return value(value, value if isinstance(factor, Row) else value.dtype, other), generate
 
 
 def _plain_put(array: np.ndarray, number: int, value: np.ndarray) -> None:
@@ -85,5 +86,5 @@ _compiled = not _settings.DISABLE_JIT
 row: Callable[..., Any] = intrinsic(_row) if _compiled else lambda array, number: array[number].copy()
 #: ``put(array, number, value)``: ``array[number] = value`` for a row.
 put: Callable[..., None] = intrinsic(_put) if _compiled else _plain_put
-#: ``less(value, factor, other)``: the row ``value - factor * other``.
+#: ``less(value, factor, other)``: the row ``value - factor * other``; ``factor`` is a number, or a row of one for each.
 less: Callable[..., Any] = intrinsic(_less) if _compiled else lambda value, factor, other: value - factor * other

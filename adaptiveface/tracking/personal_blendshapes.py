@@ -21,6 +21,7 @@ import numpy as np
 
 from ..caches.compiled import compiled
 from ..parameters import PersonalBlendshapesParameters
+from .lanes import LANES, less, put, row
 
 #: Standard deviation of the neutral's own error c, mm.
 MISFIT = 1.0
@@ -38,57 +39,49 @@ def _accumulate(moments: np.ndarray, x: np.ndarray, residual: np.ndarray, weight
             moments[i, j] = np.float32(decay) * moments[i, j] + factor * residual[j]
 
 
-#: So many vertices are solved for side by side: each step of the factorisation is one loop over them.
-_LANES = 64
-
-
 @compiled(nogil=True)
-def _solutions(gram: np.ndarray, moments: np.ndarray, deviations: np.ndarray, noise: float, lanes: int) -> np.ndarray:
+def _solutions(gram: np.ndarray, moments: np.ndarray, deviations: np.ndarray, noise: float) -> np.ndarray:
     """(A, m, 3) dB of m vertices: D z of (D G D + ``noise`` 1) z = D R with a vertex's ``deviations`` (m, A + 1) in D.
 
-    By Cholesky factors, with the right-hand sides R = ``moments`` (A + 1, m, 3) beside them.
+    By Cholesky factors, with the right-hand sides R = ``moments`` (A + 1, m, 3) beside them. Four vertices are solved for side
+    by side, and each step is one of rows of four numbers. Products are differences from zero.
     """
     size, count = len(gram), len(deviations)
     out = np.empty((size - 1, count, 3))
-    d, factor, right = np.zeros((size, lanes)), np.empty((size, size, lanes)), np.zeros((size, 3, lanes))
-    for first in range(0, count, lanes):
-        used = min(lanes, count - first)
+    d, negative_d, negative_inverse = np.zeros((3, size, LANES))
+    factor, right, nothing = np.empty((size * size, LANES)), np.zeros((3 * size, LANES)), np.zeros((1, LANES))
+    for first in range(0, count, LANES):
+        used, zero = min(LANES, count - first), row(nothing, 0)
         for i in range(size):
             for v in range(used):
-                d[i, v] = deviations[first + v, i]
+                d[i, v], negative_d[i, v] = deviations[first + v, i], -deviations[first + v, i]
                 for k in range(3):
-                    right[i, k, v] = d[i, v] * moments[i, first + v, k]
+                    right[3 * i + k, v] = d[i, v] * moments[i, first + v, k]
         for i in range(size):  # the lower factor, row by row, and the right-hand sides through it
             for j in range(i + 1):
-                row = factor[i, j]
-                for v in range(lanes):
-                    row[v] = d[i, v] * gram[i, j] * d[j, v]
+                left = less(zero, row(negative_d, i), less(zero, -gram[i, j], row(d, j)))
                 for k in range(j):
-                    _take_off(row, factor[i, k], factor[j, k])
+                    left = less(left, row(factor, size * i + k), row(factor, size * j + k))
                 if j < i:
-                    row /= factor[j, j]
-            row = factor[i, i]
-            for v in range(lanes):
-                row[v] = np.sqrt(row[v] + noise)
+                    left = less(zero, row(negative_inverse, j), left)
+                put(factor, size * i + j, left)
+            for v in range(LANES):
+                negative_inverse[i, v] = -1.0 / np.sqrt(factor[size * i + i, v] + noise)
             for k in range(3):
+                left = row(right, 3 * i + k)
                 for j in range(i):
-                    _take_off(right[i, k], factor[i, j], right[j, k])
-                right[i, k] /= row
+                    left = less(left, row(factor, size * i + j), row(right, 3 * j + k))
+                put(right, 3 * i + k, less(zero, row(negative_inverse, i), left))
         for i in range(size - 1, -1, -1):
             for k in range(3):
-                right[i, k] /= factor[i, i]
+                solved = less(zero, row(negative_inverse, i), row(right, 3 * i + k))
                 for j in range(i):
-                    _take_off(right[j, k], factor[i, j], right[i, k])
+                    put(right, 3 * j + k, less(row(right, 3 * j + k), row(factor, size * i + j), solved))
                 if i < size - 1:
+                    put(right, 3 * i + k, solved)
                     for v in range(used):
-                        out[i, first + v, k] = d[i, v] * right[i, k, v]
+                        out[i, first + v, k] = d[i, v] * right[3 * i + k, v]
     return out
-
-
-@compiled(inline="always")
-def _take_off(target: np.ndarray, first: np.ndarray, second: np.ndarray) -> None:
-    for v in range(len(target)):
-        target[v] -= first[v] * second[v]
 
 
 class PersonalBlendshapes:
@@ -181,5 +174,5 @@ class PersonalBlendshapes:
     def _solution(self, part: slice) -> np.ndarray:
         """(A, m, 3) dB of a slice of m vertices."""
         moments = self._moments.reshape(len(self._gram), -1, 3)[:, part]
-        solved: np.ndarray = _solutions(self._gram, moments, self._deviations[part], self.parameters.noise**2, _LANES)
+        solved: np.ndarray = _solutions(self._gram, moments, self._deviations[part], self.parameters.noise**2)
         return solved
