@@ -1,5 +1,7 @@
 """What real faces do with their expressions, as a penalty in the re-solve."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,6 +113,18 @@ def test_lips_count_more_as_the_expressions_misfit():
     lips = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
     near = lips_nearness(np.array([[0.0, 0.0, 0.0], [50.0, LIPS_REACH, 0.0], [0.0, 1e3, 0.0]]), lips)
     np.testing.assert_allclose(near, [1.0, np.exp(-0.5), 0.0], atol=1e-12)
+
+
+def test_landmarks_after_the_features_change_nothing(actor):
+    """Without depth, the actor's features are followed by landmarks."""
+    more = replace(
+        actor,
+        feature_triangles=np.concatenate([actor.feature_triangles, actor.triangles[:60]]),
+        feature_weights=np.concatenate([actor.feature_weights, np.full((60, 3), 1 / 3)]),
+    )
+    mesh = face(actor, 0.8, mouthSmileLeft=0.5, jawOpen=0.3)
+    few, many = (SparseResolve(a, actor.blendshapes, HABITS)(mesh) for a in (actor, more))
+    np.testing.assert_array_equal(few, many)
 
 
 def test_cheeks_that_a_scream_raises_are_no_smile(actor):

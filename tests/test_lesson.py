@@ -111,8 +111,13 @@ def test_the_hand_is_not_learned_from():
 
 def test_singular_values_grow_with_the_expressions(session, default):
     in_laugh, after_laugh, after_rage = len(LAUGH) // 2, len(LAUGH) - 1, len(LAUGH) + len(RAGE) - 1
-    seen = [learning.singular_values(default.model_after(k)) for k in (after_laugh, after_rage, in_laugh)]
-    assert seen[0][0] > 4 * seen[0][1] and seen[1][1] > 2 * seen[0][1]
+    alone = views.Replay(session.frames, session.actor, views.Parameters().replace(personal_blendshapes__on=False))
+    alone.run()
+    ends = (after_laugh, after_rage, in_laugh)
+    seen, without = ([learning.singular_values(replay.model_after(k)) for k in ends] for replay in (default, alone))
+    assert without[0][0] > 4 * without[0][1] and without[1][1] > 2 * without[0][1]
+    assert 3 * seen[0][1] < seen[0][0] < without[0][0], "personal blendshapes learn a part of the laugh, too"
+    assert seen[1][1] > seen[0][1]
     chart = pca_study.CorrectiveView(session).values
     assert max(values[0] for values in seen) < chart._high, "no bar is cut off"
     assert len(learning.singular_values(default.model_after(0))) == 0

@@ -50,6 +50,9 @@ def tracker(frames):
 def test_the_next_frame_is_what_a_new_tracker_put_there_would_make_of_it(tracker, frames, change):
     parameters = START.replace(**change)
     fresh = FaceTracker(tracker.actor, parameters)
+    changed = tracker.with_parameters(parameters)
+    fresh.personal = changed.copy().personal
+    fresh.wear_personal()
     x = tracker.state.coefficients[: len(fresh.state.coefficients)]
     keeps_filter = "kalman__model" not in change and len(x) == len(tracker.state.coefficients)
     fresh.state = replace(
@@ -58,7 +61,6 @@ def test_the_next_frame_is_what_a_new_tracker_put_there_would_make_of_it(tracker
         v1=fresh.blendshapes.shape(x),
         filter=tracker.state.filter if keeps_filter else None,
     )
-    changed = tracker.with_parameters(parameters)
     fresh.model = changed.copy().model
     a, b = changed.track(frames[-1]), fresh.track(frames[-1])
     assert a.tracked and changed.parameters == parameters

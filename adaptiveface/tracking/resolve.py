@@ -114,7 +114,7 @@ class SparseResolve:
 
 def _lips(actor: Actor) -> np.ndarray:
     """(m, 3) the features of the lips on the actor's neutral, mm."""
-    lips = FEATURE_REGIONS == "lips"
+    lips = np.flatnonzero(FEATURE_REGIONS == "lips")  # the 40 features come first; without depth, landmarks follow them
     points: np.ndarray = np.einsum("fk,fkd->fd", actor.feature_weights[lips], actor.neutral[actor.feature_triangles[lips]])
     return points
 
