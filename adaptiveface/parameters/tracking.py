@@ -340,7 +340,7 @@ class RefinementParameters(Stage):
 class SkinParameters(Stage):
     """The whole face's colours in the Laplacian step, so that v2 follows motion within the surface; not in the paper."""
 
-    on: bool = parameter(False, "follow the skin by the neutral's colours, where the scan had colour", paper=False)
+    on: bool = parameter(True, "follow the skin by the neutral's colours, where the scan had colour", paper=False)
     spacing: float = parameter(
         1.5, "distance between the samples from which the most telling are kept", unit="mm", low=0.5, high=10
     )
