@@ -307,13 +307,27 @@ def test_a_second_look_follows_fast_motion_further(sensor, actor, frames):
 
 
 def test_off_without_colour_and_in_the_papers_reading_it_changes_nothing(actor, frames):
-    assert not Parameters.paper().skin.on
+    assert Parameters().skin.on and not Parameters.paper().skin.on
     plain = replace(actor, skin=None)
     grey = [replace(frame, colour=None) for frame in frames[:3]]
     np.testing.assert_array_equal(v2_of(actor, frames[:3], OFF)[-1], v2_of(plain, frames[:3], ON)[-1])
     np.testing.assert_array_equal(v2_of(actor, grey, ON)[-1], v2_of(plain, grey, ON)[-1])
     literal = Parameters.paper().replace(skin__on=True)  # its depth term has no place for more rows
     assert FaceTracker(actor, literal).skin is None
+
+
+def test_infrared_pictures_change_nothing(sensor, actor, frames):
+    """Red, green and blue are equal in them. On three people in infrared the term gained nothing."""
+
+    def in_grey(frame: RgbdFrame) -> RgbdFrame:
+        return replace(frame, colour=np.repeat(frame.colour[:, :, 1:2], 3, axis=2))
+
+    plain, views = actor_and_views(sensor)
+    infrared = replace(plain, skin=gather_skin(plain, [(in_grey(frame), pose) for frame, pose in views], ON.skin))
+    assert actor.skin.coloured and not infrared.skin.coloured
+    assert FaceTracker(actor, ON).skin is not None and FaceTracker(infrared, ON).skin is None
+    grey = [in_grey(frame) for frame in frames[:3]]
+    np.testing.assert_array_equal(v2_of(infrared, grey, ON)[-1], v2_of(plain, grey, ON)[-1])
 
 
 def test_a_light_that_is_off_tells_nothing(sensor, actor, frames):

@@ -37,6 +37,11 @@ class Skin:
     def __len__(self) -> int:
         return len(self.triangles)
 
+    @property
+    def coloured(self) -> bool:
+        """Whether the pictures had colour. In infrared ones red, green and blue are equal, so that two channels are empty."""
+        return bool(self.colours[:, 1:].any())
+
     def first(self, count: int) -> Skin:
         """The ``count`` most telling samples."""
         return Skin(**{entry.name: getattr(self, entry.name)[:count] for entry in fields(self)})

@@ -84,9 +84,14 @@ class FaceTracker(Tracker):
         return self.stages.personal_blendshapes(basis[:, self.region.vertices], p, names) if p.on else None
 
     def _make_skin(self) -> DenseSkin | None:
-        """Make the colour term if the actor's skin is known. It only works with soft rows."""
+        """Make the colour term if the actor's skin is known in colour. It only works with soft rows.
+
+        In infrared the sensor's own lamp lights the face, and three people gained nothing by the term.
+        """
         p, skin = self.parameters, self.actor.skin
-        if skin is None or not p.skin.on or p.laplacian.depth_term != "point-to-plane" or p.laplacian.feature_rows != "soft":
+        if skin is None or not skin.coloured or not p.skin.on:
+            return None
+        if p.laplacian.depth_term != "point-to-plane" or p.laplacian.feature_rows != "soft":
             return None
         return self.stages.skin(skin, self.region, self.deformation, p.skin)
 
