@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from adaptiveface.live import scan as scan_module
 from adaptiveface.live.run import BUILDING, CLOSED, FAILED, SCANNING, STARTING, TRACKING, LiveRun
 from adaptiveface.sensors.live import LiveSensor
 from adaptiveface.sensors.recording import RecordingWriter
+from adaptiveface.tracking.colour_tracker import make_tracker
 
 
 @pytest.fixture
@@ -62,6 +64,25 @@ def test_it_scans_builds_tracks_and_relearns_and_tells_each_change(sensor):
         wait_for(lambda: len(seen) > count + 2)
         assert run.actor is not first
     assert run.session is None and run.state == CLOSED and left_over() == []
+
+
+@pytest.mark.parametrize("colour_only", [False, True])
+def test_the_tracker_is_compiled_before_live_frames_wait(monkeypatch, sensor, colour_only):
+    """The scan's last frames are tracked while the head is built, by a tracker that the session does not use."""
+    tracked = []
+
+    def make(*arguments):
+        tracker = make_tracker(*arguments)
+        track = tracker.track
+        tracker.track = lambda frame: tracked.append(track(frame)) or tracked[-1]
+        return tracker
+
+    monkeypatch.setattr(scan_module, "make_tracker", make)
+    with LiveSensor(lambda: ColourDriver(head_frames())) if colour_only else nullcontext(sensor) as source:
+        with LiveRun(source, parameters=QUICK, seconds=1.0) as run:
+            assert run.wait()
+            assert [frame.tracked for frame in tracked] == [True] * scan_module.REHEARSED
+            assert run.session.expressions is None and len(tracked) == scan_module.REHEARSED
 
 
 def test_a_callback_given_while_starting_sees_every_result():

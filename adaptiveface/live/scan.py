@@ -6,15 +6,17 @@ The scan runs on the caller's thread, without a view. :class:`~adaptiveface.live
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from ..errors import EndOfRecording, SensorError, SensorTimeoutError, TrackingError
+from ..geometry.frame import RgbdFrame
 from ..model.actor import Actor
 from ..neutral.colour import capture_colour_actor
 from ..parameters import Parameters
 from ..runtime.threads import one_thread
 from ..sensors.live import LiveFrame
 from ..sensors.worker import POLL_SECONDS
+from ..tracking.colour_tracker import make_tracker
 from .feed import FeatureFeed
 from .guided import STEPS, Guidance, GuidedCapture
 
@@ -22,6 +24,8 @@ from .guided import STEPS, Guidance, GuidedCapture
 SILENCE_SECONDS = 1.0
 #: Number of frames with a face from which the proportions are measured without depth.
 COLOUR_FRAMES = 30
+#: Number of the scan's frames that are tracked before live ones: the first finds the head, the second follows it.
+REHEARSED = 2
 
 
 class Cancelled(Exception):  # noqa: N818 - it was requested, and is not an error
@@ -98,12 +102,15 @@ class NeutralScan:
             self._watch()
 
     def build(self, parameters: Parameters) -> Actor:
-        """Build the head. This takes some seconds.
+        """Build the head, and track the last frames of the scan with it. This takes some seconds.
+
+        What is tracked is thrown away. On a machine where the tracker never ran, its functions are compiled here for some
+        15 s, and not while the first live frames are lost.
 
         Parameters
         ----------
         parameters : Parameters
-            The parameters of the capture.
+            The parameters of the capture, and of the tracking that follows.
 
         Returns
         -------
@@ -117,10 +124,17 @@ class NeutralScan:
         Cancelled
             :meth:`cancel` was called.
         """
+        frames: Sequence[RgbdFrame]
         with one_thread():
             if self.guide is None:
-                return capture_colour_actor(self._faces, parameters=parameters)
-            return self.guide.build(parameters, self._report)
+                actor, frames = capture_colour_actor(self._faces, parameters=parameters), self._faces
+            else:
+                actor, frames = self.guide.build(parameters, self._report), self.guide.frames
+            tracker = make_tracker(actor, parameters, self.feed.sensor.colour_only)
+            for number, frame in enumerate(frames[-REHEARSED:]):
+                self._report("compile", number / REHEARSED)
+                tracker.track(frame)
+        return actor
 
     def _check(self) -> None:
         if self._cancelled:

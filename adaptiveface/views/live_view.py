@@ -31,6 +31,7 @@ BUILD_STEPS = {
     "fit": "fitting the identity",
     "shrink_wrap": "shrink-wrap",
     "blendshapes": "making the blendshapes",
+    "compile": "preparing the tracker",
 }
 _DEGRADED = "<b>colour only: no depth, degraded.</b> Pose and expression come from 2D landmarks; no correctives. "
 
