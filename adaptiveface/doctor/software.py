@@ -18,6 +18,7 @@ NEEDED = {
     "numpy": "numpy",
     "scipy": "scipy",
     "numba": "numba",
+    "llvmlite": "llvmlite",
     "threadpoolctl": "threadpoolctl",
     "tqdm": "tqdm",
     "trimesh": "trimesh",
