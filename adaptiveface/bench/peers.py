@@ -75,6 +75,7 @@ class Notes:
 
         @wraps(method)
         def noted(instance, *arguments, **options):
+            """Call the method, and note a copy of its arguments."""
             if self.on:
                 self.calls.append(tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
             return method(instance, *arguments, **options)
@@ -99,7 +100,10 @@ def record(actor: Actor, frames, count: int, parameters: Parameters | None = Non
         fit, solve, add_rows = fitted.noting(BlendshapeFit.fit), solved.noting(BlendshapeFit.solve), note_rows
 
     class Deformation(LaplacianDeformation):
+        """Notes the right-hand sides (n, 3) of its solves."""
+
         def precondition(self, right, correction):
+            """Solve as usual, after noting ``right`` (n, 3)."""
             note_right(self, right)
             return super().precondition(right, correction)
 
@@ -171,9 +175,11 @@ def rigid_icp(recorded: Recorded, limit: int) -> Comparison:
         criteria = registration.ICPConvergenceCriteria(0.0, 0.0, p.iterations)
 
         def peer(surface, shape, normals, pose, source, target):
+            """Open3D's registration."""
             return registration.registration_icp(source, target, p.max_correspondence_distance, np.eye(4), plane, criteria)
 
     def ours(surface, shape, normals, pose, *_):
+        """Our fit of the pose."""
         return recorded.tracker.rigid.align(surface, shape, normals, pose)
 
     return Comparison("rigid", "Open3D point-to-plane ICP", *_in_turn(ours, peer, inputs))
@@ -206,10 +212,12 @@ def bounded_solve(recorded: Recorded, limit: int) -> Comparison:
         inputs.append((equations, x, factor.T, np.linalg.solve(factor, equations.g)))
 
     def ours(equations, x, *_):
+        """The pose update and the coefficients (6 + A,) by our bounded solver."""
         x, update_for = fit.solve(equations, x)
         return np.concatenate([update_for(x), x])
 
     def peer(equations, x, matrix, target):
+        """The same by SciPy's bounded least squares."""
         return lsq_linear(matrix, target, _bounds(fit.parameters, len(x)), method="bvls").x
 
     apart = max(np.abs(ours(*i) - peer(*i))[6:].max() for i in inputs)
@@ -225,9 +233,11 @@ def blendshape_fit(recorded: Recorded, limit: int) -> Comparison:
     inputs = _spread([(arguments, group) for arguments, group in zip(recorded.fit, grouped, strict=True)], limit)
 
     def ours(arguments, _):
+        """The pose (4, 4) and the coefficients (A,) of a frame by our fit."""
         return fit.fit(*arguments)
 
     def peer(arguments, group):
+        """The solutions of a frame's rounds by SciPy."""
         return [lsq_linear(matrix, target, _bounds(fit.parameters, matrix.shape[1] - 6)).x for matrix, target in group]
 
     solved = [(peer(*entry)[-1][6:], ours(*entry)[1]) for entry in inputs]
@@ -275,6 +285,7 @@ def prefactored_solve(recorded: Recorded, limit: int) -> Comparison:
         nothing = np.zeros((0, 3))
 
         def peer(right):  # it minimises z^T A z / 2 + z^T B
+            """The solution (n, 3) by libigl; it minimises z^T A z / 2 + z^T B."""
             return igl.min_quad_with_fixed_solve(data, -right, nothing, nothing)
 
         apart = max(np.abs(ours(*i) - peer(*i)).max() / np.abs(ours(*i)).max() for i in inputs)
@@ -294,6 +305,7 @@ def incremental_pca(recorded: Recorded, limit: int) -> Comparison:
     split = max(len(valid) - limit, 0)
 
     def ours(displacement, _):
+        """Learn from a displacement (3n,) with our incremental PCA."""
         model.learn(model.parts(displacement))
 
     for entry in valid[:split]:
@@ -308,6 +320,7 @@ def incremental_pca(recorded: Recorded, limit: int) -> Comparison:
         pca.partial_fit(np.array([residual for _, residual in valid[split - min(model.count, split) : split]]))
 
         def peer(_, sample):
+            """Learn from a sample (1, 3n) with scikit-learn."""
             pca.partial_fit(sample)
 
     return Comparison("adaptive_pca", "scikit-learn IncrementalPCA", *_in_turn(ours, peer, inputs))

@@ -107,9 +107,11 @@ def depth_surface(
     kept = z * clean
 
     def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
+        """The image (h, w), smoothed by ``sigma`` pixels and with nothing around it."""
         return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
 
     def masked_mean(sigma: float) -> tuple[np.ndarray, np.ndarray]:
+        """Mean depth (h, w) of what is kept around each pixel, mm, and the share of pixels that was kept (h, w)."""
         weight, mean = smooth(clean, sigma), smooth(kept, sigma)
         np.maximum(weight, 1e-3, out=weight)
         return np.divide(mean, weight, out=mean), weight

@@ -51,6 +51,7 @@ def _place(context: Any, builder: Any, array_type: Any, array: Any, number: Any)
 
 def _row(typing_context: Any, array: Any, number: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """Load the vector."""
         pointer, align = _place(context, builder, signature.args[0], *arguments)
         return builder.load(pointer, align=align)
 
@@ -59,6 +60,7 @@ def _row(typing_context: Any, array: Any, number: Any) -> Any:
 
 def _put(typing_context: Any, array: Any, number: Any, value: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """Store the vector."""
         pointer, align = _place(context, builder, signature.args[0], *arguments[:2])
         builder.store(arguments[2], pointer, align=align)
         return context.get_dummy_value()
@@ -68,6 +70,7 @@ def _put(typing_context: Any, array: Any, number: Any, value: Any) -> Any:
 
 def _less(typing_context: Any, value: Any, factor: Any, other: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """Multiply and subtract, with the factor in all four places if it is a number."""
         first, factors, second = arguments
         if not isinstance(factor, Row):
             empty, zeros = ir.Constant(first.type, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)

@@ -70,11 +70,7 @@ def align_patches(
     first = _first_columns(precision)
     for _ in range(rounds):
         right = (precision @ (detected - shift)).ravel()
-        for i in range(n):
-            for j in range(first[2 * i] // 2, i + 1):  # the lower triangle is enough
-                for k in range(2):
-                    whole[2 * i + k, 2 * j + k] = precision[i, j]
-                    whole[2 * i + k, 2 * j + 1 - k] = 0.0
+        _set_detected(whole, precision, first)
         for i in range(n):
             a, b = starts[seen[i]], starts[seen[i] + 1]
             part = slice(a, b, stride)
@@ -86,16 +82,31 @@ def align_patches(
                 for m in range(2):
                     whole[2 * i + k, 2 * i + m] += h[k, m]
         _factorise(whole, first)
-        step = _solve(whole, first, right)
-        for i in range(n):
-            for k in range(2):
-                step[2 * i + k] = min(max(step[2 * i + k], -_LONGEST), _LONGEST)
-                shift[i, k] += step[2 * i + k]
-            for k in range(2):
-                light[i, k] += rests[i, k] - gains[i, k, 0] * step[2 * i] - gains[i, k, 1] * step[2 * i + 1]
+        _move(shift, light, _solve(whole, first, right), gains, rests)
     diagonal = _inverse_diagonal(whole, first)
     variance = 0.5 * (diagonal[0::2] + diagonal[1::2])
     return shift, variance
+
+
+@compiled(nogil=True)
+def _set_detected(whole: np.ndarray, precision: np.ndarray, first: np.ndarray) -> None:
+    """Set the matrix (2 n, 2 n) to the ``precision`` (n, n) of the detected shifts, along u and along v, in place."""
+    for i in range(len(precision)):
+        for j in range(first[2 * i] // 2, i + 1):  # the lower triangle is enough
+            for k in range(2):
+                whole[2 * i + k, 2 * j + k] = precision[i, j]
+                whole[2 * i + k, 2 * j + 1 - k] = 0.0
+
+
+@compiled(nogil=True)
+def _move(shift: np.ndarray, light: np.ndarray, step: np.ndarray, gains: np.ndarray, rests: np.ndarray) -> None:
+    """Move every patch by its part of ``step`` (2 n,), at most ``_LONGEST``, and let its light follow, in place."""
+    for i in range(len(shift)):
+        for k in range(2):
+            step[2 * i + k] = min(max(step[2 * i + k], -_LONGEST), _LONGEST)
+            shift[i, k] += step[2 * i + k]
+        for k in range(2):
+            light[i, k] += rests[i, k] - gains[i, k, 0] * step[2 * i] - gains[i, k, 1] * step[2 * i + 1]
 
 
 @compiled(nogil=True)
@@ -113,28 +124,8 @@ def _normal_equations(
     A channel's scale is its weighted mean square residual in the patch, at least ``floor``. Only the brightness has a gain
     and an offset.
     """
-    picture, along_u, along_v = images
-    height, width = picture.shape[:2]
-    values, total = np.empty((len(pixels), 3, 3)), 0.0
-    scale0, scale1, scale2 = 0.0, 0.0, 0.0
-    for q in range(len(pixels)):
-        if weights[q] == 0.0:
-            continue
-        x = min(max(pixels[q, 0] + shift[0], 0.0), width - 1.001)
-        y = min(max(pixels[q, 1] + shift[1], 0.0), height - 1.001)
-        i, j = np.uint32(y), np.uint32(x)  # unsigned: numba tests each signed index for being negative
-        b, a = np.float32(y - i), np.float32(x - j)
-        for c in range(3):
-            values[q, 0, c] = _bilinear(picture, i, j, b, a, c)
-            values[q, 1, c] = _bilinear(along_u, i, j, b, a, c)
-            values[q, 2, c] = _bilinear(along_v, i, j, b, a, c)
-        values[q, 0, 0] -= light[0] * colours[q, 0] + light[1]
-        values[q, 0, 1] -= colours[q, 1]
-        values[q, 0, 2] -= colours[q, 2]
-        scale0 += weights[q] * values[q, 0, 0] ** 2
-        scale1 += weights[q] * values[q, 0, 1] ** 2
-        scale2 += weights[q] * values[q, 0, 2] ** 2
-        total += weights[q]
+    values = np.empty((len(pixels), 3, 3))
+    total, scale0, scale1, scale2 = _compare(images, pixels, weights, colours, shift, light, values)
     if total == 0.0:
         return np.zeros((4, 4)), np.zeros(4)
     scale = max(scale0 / total, floor), max(scale1 / total, floor), max(scale2 / total, floor)
@@ -162,6 +153,45 @@ def _normal_equations(
     h[2, 0], h[2, 1], h[2, 2], h[2, 3], g[2] = u_gain, v_gain, gains, both, g_gain
     h[3, 0], h[3, 1], h[3, 2], h[3, 3], g[3] = u_offset, v_offset, both, offsets, g_offset
     return h, g
+
+
+@compiled(nogil=True)
+def _compare(
+    images: tuple[np.ndarray, np.ndarray, np.ndarray],
+    pixels: np.ndarray,
+    weights: np.ndarray,
+    colours: np.ndarray,
+    shift: np.ndarray,
+    light: np.ndarray,
+    values: np.ndarray,
+) -> tuple[float, float, float, float]:
+    """Fill ``values`` (Q, 3, 3): each channel's residual at a sample, and its gradients along u and along v.
+
+    Returns the sum of the weights, and each channel's sum of weighted squared residuals.
+    """
+    picture, along_u, along_v = images
+    height, width = picture.shape[:2]
+    total = 0.0
+    scale0, scale1, scale2 = 0.0, 0.0, 0.0
+    for q in range(len(pixels)):
+        if weights[q] == 0.0:
+            continue
+        x = min(max(pixels[q, 0] + shift[0], 0.0), width - 1.001)
+        y = min(max(pixels[q, 1] + shift[1], 0.0), height - 1.001)
+        i, j = np.uint32(y), np.uint32(x)  # unsigned: numba tests each signed index for being negative
+        b, a = np.float32(y - i), np.float32(x - j)
+        for c in range(3):
+            values[q, 0, c] = _bilinear(picture, i, j, b, a, c)
+            values[q, 1, c] = _bilinear(along_u, i, j, b, a, c)
+            values[q, 2, c] = _bilinear(along_v, i, j, b, a, c)
+        values[q, 0, 0] -= light[0] * colours[q, 0] + light[1]
+        values[q, 0, 1] -= colours[q, 1]
+        values[q, 0, 2] -= colours[q, 2]
+        scale0 += weights[q] * values[q, 0, 0] ** 2
+        scale1 += weights[q] * values[q, 0, 1] ** 2
+        scale2 += weights[q] * values[q, 0, 2] ** 2
+        total += weights[q]
+    return total, scale0, scale1, scale2
 
 
 @compiled(inline="always")

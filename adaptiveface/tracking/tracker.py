@@ -216,9 +216,8 @@ class FaceTracker(Tracker):
         if frame.features is None or frame.features.valid.sum() < 6:
             return True
         points = transform_points(pose, self.blendshapes.feature_points(self.state.coefficients))
-        errors = np.sort(reprojection_errors(frame.features, frame.camera, points))  # np.median takes three times as long
-        median = 0.5 * (errors[(len(errors) - 1) // 2] + errors[len(errors) // 2])
-        return bool(median < self.parameters.rigid.max_reprojection_error)
+        errors = reprojection_errors(frame.features, frame.camera, points)
+        return bool(np.median(errors) < self.parameters.rigid.max_reprojection_error)
 
     def _crop(self, frame: RgbdFrame, pose: np.ndarray) -> DepthSurface | None:
         points = transform_points(pose, self._outline)
